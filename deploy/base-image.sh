@@ -1,32 +1,36 @@
 #!/usr/bin/env bash
-# Makes the image that one of the Dockerfiles builds on, out of Debian's packages alone:
+# Builds the base image of a Dockerfile from Debian packages, without a registry:
 #
-#   sightline  `sightline-base:local`: Embree and Mesa's Vulkan driver, for deploy/Dockerfile
-#   services   `sightline-services-base:local`: PostgreSQL, HAProxy and Prometheus, for deploy/services/Dockerfile
+#   sightline  `sightline-base:local`: Mesa's Vulkan driver, for deploy/Dockerfile
+#   services   `sightline-services-base:local`: PostgreSQL, HAProxy and Prometheus, for services/Dockerfile
 #
-# For machines that can install Debian packages but can pull no image. debootstrap unpacks the same Debian release as the
-# host's, from the mirror the host's apt uses, so that Embree inside and outside is one version and a container computes
-# the same bytes as the host. Skipped when the image is there and was made by this very recipe.
-# It does not contain the program; deploy/build-image.sh adds that.
+# debootstrap installs the Debian release of the host from the mirror that the host's apt uses. The image and
+# the host therefore have the same C library and the same version of Mesa. If the image exists and this
+# version of the script built it with the same packages, the script does not build it again. The image does
+# not contain the program; deploy/build-image.sh adds the program.
 #
 #   deploy/base-image.sh [--force] [sightline|services]        default: sightline
 #
-#   SIGHTLINE_SUITE    Debian release, by code name; default: the host's, or bookworm on another system
-#   SIGHTLINE_MIRROR   Debian mirror; default: the one in the host's apt sources
+#   --force            build the image again, also if it is up to date
+#   SIGHTLINE_SUITE    code name of the Debian release. Default: the release of the host, or bookworm if the
+#                      host is not Debian
+#   SIGHTLINE_MIRROR   Debian mirror. Default: the mirror in the host's apt sources
 set -euo pipefail
 
 say() { printf 'base-image: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
 
-# First mirror in apt's sources that serves Debian itself (not security, not a third party's packages), in either
-# notation: "deb [options] URI SUITE …" lines or deb822 paragraphs. Anything but http(s) is left to the default.
+# apt_mirror SUITE: Prints the first mirror in apt's sources whose suite is the Debian release itself. Reads
+# "deb [options] URI SUITE …" lines and deb822 paragraphs, and ignores addresses other than http and https.
 apt_mirror() {
   local suite=$1 file
   for file in /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources; do
     [ -r "$file" ] || continue
     awk -v suite="$suite" -v deb822="$([[ $file == *.sources ]] && echo 1 || echo 0)" '
-      function paragraph() { if (types ~ /(^| )deb( |$)/ && (" " suites " ") ~ (" " suite " ") && uri && enabled != "no") print uri
-                             types = suites = uri = enabled = "" }
+      function paragraph() {
+        if (types ~ /(^| )deb( |$)/ && (" " suites " ") ~ (" " suite " ") && uri && enabled != "no") print uri
+        types = suites = uri = enabled = ""
+      }
       /^[[:space:]]*#/ { next }
       deb822 && /^[[:space:]]*$/ { paragraph(); next }
       deb822 { key = tolower($1); value = $0; sub(/^[^:]*:[[:space:]]*/, "", value)
@@ -53,18 +57,16 @@ host_suite=$(. /etc/os-release && [ "${ID:-}" = debian ] && printf '%s' "${VERSI
 suite=${SIGHTLINE_SUITE:-${host_suite:-bookworm}}
 mirror=${SIGHTLINE_MIRROR:-$(apt_mirror "$suite")}
 mirror=${mirror:-http://deb.debian.org/debian}
-case $suite in
-  bookworm) embree=libembree3-3 ;;
-  *) embree=libembree4-4 ;;
-esac
-# ca-certificates: object stores have certificates of public authorities.
+# The package ca-certificates is for object stores, whose certificates come from public authorities.
 case $target in
-  sightline) image=sightline-base:local packages=libvulkan1,mesa-vulkan-drivers,$embree,ca-certificates ;;
+  sightline) image=sightline-base:local packages=libvulkan1,mesa-vulkan-drivers,ca-certificates ;;
   services) image=sightline-services-base:local packages=postgresql,haproxy,prometheus ;;
 esac
 
-command -v docker >/dev/null || die "docker is not installed; apt-get install docker.io, or run scripts/setup.sh --for test"
-docker info >/dev/null 2>&1 || die "no container engine answers; start it (systemctl start docker), or join the group docker"
+command -v docker >/dev/null ||
+  die 'docker is not installed; run apt-get install docker.io or scripts/setup.sh --for test'
+docker info >/dev/null 2>&1 ||
+  die 'no container engine answers; start the engine (systemctl start docker), or join the group docker'
 
 recipe=$(printf '%s\n' "$suite" "$packages" "$(sha256sum <"$0")" | sha256sum | cut -d ' ' -f 1)
 made=$(docker image inspect --format '{{ index .Config.Labels "sightline.recipe" }}' "$image" 2>/dev/null || true)
@@ -74,10 +76,12 @@ if [ "$force" = 0 ] && [ "$made" = "$recipe" ]; then
 fi
 
 command -v debootstrap >/dev/null || PATH=$PATH:/usr/sbin
-command -v debootstrap >/dev/null || die "debootstrap is not installed; apt-get install debootstrap, or run scripts/setup.sh --for test"
+command -v debootstrap >/dev/null ||
+  die 'debootstrap is not installed; run apt-get install debootstrap or scripts/setup.sh --for test'
 as_root=()
 if [ "$(id -u)" != 0 ]; then
-  command -v sudo >/dev/null || die "debootstrap needs root; run this as root or install sudo"
+  command -v sudo >/dev/null ||
+    die 'debootstrap needs root; run deploy/base-image.sh as root, or install sudo'
   as_root=(sudo)
 fi
 
@@ -85,14 +89,16 @@ work=$(mktemp -d "${TMPDIR:-/tmp}/sightline-base.XXXXXX")
 trap '"${as_root[@]}" rm -rf --one-file-system "$work"' EXIT
 root=$work/root
 
-say "making $image: Debian $suite with $packages (about a minute)"
-if ! "${as_root[@]}" debootstrap --variant=minbase --include="$packages" "$suite" "$root" "$mirror" >"$work/log" 2>&1; then
+say "building $image: Debian $suite with $packages (this takes about one minute)"
+if ! "${as_root[@]}" debootstrap --variant=minbase --include="$packages" "$suite" "$root" "$mirror" \
+  >"$work/log" 2>&1; then
   tail -n 20 "$work/log" >&2
   [ -r "$root/debootstrap/debootstrap.log" ] && tail -n 20 "$root/debootstrap/debootstrap.log" >&2
-  die "debootstrap failed (its last lines are above); check that the mirror is reachable, or name one in SIGHTLINE_MIRROR"
+  die "debootstrap failed, see above; check that $mirror is reachable, or name a mirror in SIGHTLINE_MIRROR"
 fi
 
-# What only an installer or a reader of manuals needs. The mirror stays out of the image too: it is this host's affair.
+# The image does not contain caches, logs, documentation and settings of the host. The public mirror of Debian
+# replaces the mirror of the host.
 "${as_root[@]}" sh -eu -c '
   cd "$1"
   rm -rf var/cache/apt/* var/lib/apt/lists/* var/log/* usr/share/doc usr/share/man usr/share/info usr/share/locale tmp/*
@@ -105,4 +111,4 @@ fi
     --change 'ENV PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin' \
     --change 'CMD ["/bin/bash"]' \
     - "$image" >/dev/null
-say "made $image, $(docker image inspect --format '{{ .Size }}' "$image" | awk '{ printf "%.0f MB", $1 / 1e6 }')"
+say "built $image, $(docker image inspect --format '{{ .Size }}' "$image" | awk '{ printf "%.0f MB", $1 / 1e6 }')"

@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
-# Makes what compose.yaml and compose.tls.yaml read as secrets, where it is missing: two passwords, and with names of
-# this machine the certificates (anew each time).
+# Creates the secrets of compose.yaml and compose.tls.yaml: two passwords, if they are missing, and
+# certificates, if NAME is given.
 #
 #   deploy/secrets.sh [NAME…]
 #
-# A secret of compose is the file itself, seen from inside with its owner and its mode, and the containers run as user
-# 10001. So the files can be read by everybody, and the folder, which nobody sees from inside, can be entered by its
-# owner alone. The authority's key is for no container.
+# NAME is a name or an address of this machine. Each run with NAME renews the certificates.
 #
-#   SIGHTLINE_SECRETS    the folder; default deploy/secrets
+# Compose mounts the file of a secret into a container with the owner and the mode of the file, and the
+# containers run as the user 10001. The files are therefore readable by all users. Only the owner can enter
+# the folder, and the containers do not mount the folder. No container needs the key of the authority, so only
+# the owner can read this key.
+#
+#   SIGHTLINE_SECRETS    folder of the secrets. Default: deploy/secrets
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 folder=${SIGHTLINE_SECRETS:-$here/secrets}
@@ -19,7 +22,7 @@ for name in postgres-password grafana-password; do
   [ -s "$folder/$name" ] || openssl rand -hex 24 >"$folder/$name"
 done
 if [ $# -gt 0 ]; then
-  # `farm` is the coordinator's name on the network of the workers.
+  # The coordinator has the name `farm` on the network of the workers.
   "$here/certificates.sh" "$folder" "$@" localhost 127.0.0.1 farm coordinator
 fi
 for file in "$folder"/*; do

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# From a fresh checkout to a baked and measured scene: installs what is missing, builds, bakes, measures.
+# Installs missing packages, builds Sightline, bakes a scene and measures the error of the result.
 #
 #   scripts/bake.sh [SCENE] [-- FLAGS for `sightline bake`]
 #
-# SCENE is an OBJ, PLY, glTF or GLB file; without one a small town is generated. Results go to out/ in the checkout.
-# Ctrl-C and the same command again carry on where it stopped.
+# SCENE is an OBJ, PLY, glTF or GLB file. Default: a small generated town. The script writes results to out/
+# in the checkout. After Ctrl-C, the same command continues the bake.
 set -euo pipefail
 
 say() { printf '\n== %s\n' "$*" >&2; }
@@ -23,17 +23,21 @@ while [ $# -gt 0 ]; do
       sed -n '2,/^set/{/^#/s/^# \{0,1\}//p}' "$0"
       exit 0
       ;;
-    -*) die "unknown flag '$1'; flags for the bake come after '--'" ;;
+    -*) die "unknown flag '$1'; put the flags of the bake after '--'" ;;
     *)
-      [ -z "$scene" ] || die "one scene at a time: '$scene' or '$1'?"
+      [ -z "$scene" ] || die "two scenes, '$scene' and '$1'; give one scene"
       scene=$1
       ;;
   esac
   shift
 done
-# Named relative to where the caller stands, before this script goes to the checkout.
+# The path of the scene is relative to the caller's folder, so resolve the path before the script changes the
+# folder.
 if [ -n "$scene" ]; then
-  [ -f "$scene" ] || { printf "bake: no file '%s'; name an OBJ, PLY, glTF or GLB file, or none for a generated town\n" "$scene" >&2; exit 3; }
+  if [ ! -f "$scene" ]; then
+    printf "bake: file '%s' does not exist; name an OBJ, PLY, glTF or GLB file, or none\n" "$scene" >&2
+    exit 3
+  fi
   scene=$(realpath "$scene")
 fi
 cd "$(dirname "$0")/.."
@@ -41,14 +45,15 @@ cd "$(dirname "$0")/.."
 ./scripts/setup.sh --for run
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
-say 'building (six or seven minutes the first time, on two cores)'
+say 'building (the first build takes about seven minutes on two cores)'
 cargo build --profile dist --locked
 sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/dist/sightline
 
 mkdir -p out
 if [ -z "$scene" ]; then
   scene=out/town.glb
-  # The town is wide and low, and this is a first look: a minute, not five.
+  # With these cells the bake of the town takes about one minute, with the default about five. The town is
+  # wide and low, so the grid has few layers.
   [ ${#flags[@]} -gt 0 ] || flags=(--cells 8x4x2)
   if [ ! -f "$scene" ]; then
     say 'generating a town'
@@ -63,8 +68,8 @@ started=$(date +%s%N)
 "$sightline" bake "$scene" -o "$result" ${flags[@]+"${flags[@]}"}
 took=$(awk -v ns=$(($(date +%s%N) - started)) 'BEGIN { printf "%.1f", ns / 1e9 }')
 
-say 'measuring: frames drawn from the result against frames of the whole scene'
-# With --json, progress is JSON, too.
+say 'measuring: comparing frames of the result with frames of the whole scene'
+# With --json, `measure` prints its progress as JSON. Do not show these lines.
 "$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json >"out/${name%.*}.measure.json" \
   2> >(grep -v '"event":"progress"' >&2)
 
@@ -75,7 +80,7 @@ say "$result: baked in $took s; wrong pixels: mean $mean, 99th percentile $p99, 
 printf -v result_name %q "$result"
 cat >&2 <<END
 next:
-  $sightline info $result_name       what is in it
-  $sightline query --help            what is visible from a point
-  $PWD/scripts/bake.sh YOUR_SCENE.glb     a scene of your own
+  $sightline info $result_name       describe the result
+  $sightline query --help            query the triangles that are visible from a point
+  $PWD/scripts/bake.sh YOUR_SCENE.glb     bake another scene
 END

@@ -1,28 +1,30 @@
 #!/usr/bin/env bash
-# Breaks a farm of real processes by seeded schedules of faults: scripts/chaos.sh --help.
+# Runs the chaos harness, which injects faults into a farm of real processes: scripts/chaos.sh --help.
 #
 #   scripts/chaos.sh [--seed N] [--schedules N] [--jobs N] [--keep DIR]
 #
-# All of it runs in namespaces of its own, so that nothing of it outlives this command: processes, mounts, devices.
+# The harness runs in separate namespaces, so that its processes, mounts and devices end with this command.
 set -euo pipefail
 export PYTHONPATH=$(cd "$(dirname "$0")" && pwd)${PYTHONPATH:+:$PYTHONPATH}
-# A user's PATH on Debian leaves out where ip lives.
+# On Debian, the PATH of users other than root lacks the folder of ip.
 PATH=$PATH:/usr/sbin:/sbin
 export PYTHONDONTWRITEBYTECODE=1
 
-# What needs no namespaces.
+# These options only print text, so they need no namespaces.
 for word in "$@"; do
   case $word in -h | --help | --print) exec python3 -m chaos "$@" ;; esac
 done
 if ! why=$(unshare --mount --net --pid --fork --mount-proc true 2>&1); then
-  echo "chaos: cannot run here: namespaces cannot be made: $why" >&2
+  echo "chaos: cannot run here: this system permits no new namespaces: $why" >&2
   exit 2
 fi
-# unshare itself ignores signals that ask it to end; with its death all of it ends.
+# unshare ignores SIGINT and SIGTERM, so the trap kills it. With --kill-child, all processes of the harness
+# then end.
 export TMPDIR=$(mktemp -d "${TMPDIR:-/tmp}/sightline-chaos.XXXXXX")
 setpriv --pdeathsig KILL unshare --mount --net --pid --fork --kill-child --mount-proc python3 -m chaos "$@" &
 all=$!
-trap 'trap "" INT TERM; kill -KILL "$all" 2>/dev/null || true; wait "$all" 2>/dev/null || true; rm -rf "$TMPDIR"' EXIT
+trap 'trap "" INT TERM; kill -KILL "$all" 2>/dev/null || true; wait "$all" 2>/dev/null || true
+  rm -rf "$TMPDIR"' EXIT
 trap 'exit 130' INT TERM
 status=0
 wait "$all" || status=$?

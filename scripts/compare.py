@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Compares the time and memory of two programs over bakes, ambient occlusion and look-ups.
+"""Compares the time and memory of two builds of `sightline` for bakes, ambient occlusion and point queries.
 
     scripts/compare.py OLD NEW LEVEL [--runs N]
 
-OLD and NEW are two builds of `sightline`. LEVEL is an indoor level as glTF; the table of docs/experiments/rebuild.md
-has quake_e1m3 (benches/README.md). Both programs run in turn, each with an empty cache, one time without counting and
-then N times (default 5). The table has the medians of the ratios NEW to OLD of each pair, with the smallest and the
-largest ratio, and the medians of the peak memory.
+OLD and NEW are the programs. LEVEL is an indoor level as glTF; docs/experiments/rebuild.md uses quake_e1m3
+(benches/README.md). The script runs OLD and NEW alternately, each with an empty cache. The first pair of runs
+does not count. N is the number of counted pairs. Default: 5. For each case, the table contains the median of
+the ratios NEW to OLD of the pairs, the smallest and the largest ratio, and the medians of the peak memory.
 """
 
 import argparse
@@ -29,7 +29,7 @@ BAKES = {
 
 
 def run(program, arguments, cache):
-    """Runs a program with an empty cache; returns its CPU seconds, wall seconds and peak memory in MiB."""
+    """Runs a program with an empty cache. Returns the CPU seconds, wall seconds and peak memory in MiB."""
     shutil.rmtree(cache, ignore_errors=True)
     cache.mkdir()
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "XDG_RUNTIME_DIR": str(cache)}
@@ -46,19 +46,23 @@ def run(program, arguments, cache):
 
 
 def cases(program, level, work):
-    """Yields the name and the arguments of each case. The old program writes the scenes."""
+    """Yields the name and the arguments of each case. `program` generates the scenes."""
     for name, options in BAKES.items():
         yield name, ["bake", level, *options, "-o", "out.pvs"]
     rooms, tets = work / "rooms.glb", work / "rooms.tets"
     subprocess.run([program, "generate", "rooms", "-o", rooms], check=True, capture_output=True)
     yield "exact", ["bake", str(rooms), "--method", "exact", "--cells", "2x1x2", "-o", "out.pvs"]
-    yield "ambient", ["ambient", str(rooms), "--points", points(work / "ambient.jsonl", 3000, {"normal": [0, 1, 0]})]
+    yield "ambient", ["ambient", str(rooms), "--points",
+                      points(work / "ambient.jsonl", 3000, {"normal": [0, 1, 0]})]
     subprocess.run([program, "tetra", rooms, "-o", tets], check=True, capture_output=True)
     yield "look", ["look", str(tets), "--points", points(work / "look.jsonl", 200, {})]
 
 
 def points(file, count, fields):
-    """Writes points in the rooms with more fields as JSON Lines; returns the name of the file."""
+    """Writes random points in the rooms, with additional fields, as JSON Lines.
+
+    Returns the name of the file.
+    """
     draw = random.Random(1)
     drawn = ([draw.uniform(0.5, 29.5), 1.6, draw.uniform(0.5, 19.5)] for _ in range(count))
     file.write_text("".join(json.dumps({"point": point, **fields}) + "\n" for point in drawn))
@@ -67,7 +71,8 @@ def points(file, count, fields):
 
 def main():
     """Parses the arguments and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old")
     parser.add_argument("new")
     parser.add_argument("level")

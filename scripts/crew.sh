@@ -1,12 +1,19 @@
 #!/usr/bin/env bash
-# Times one job on a cluster of workers with one thread each against `sightline bake` with as many threads as
-# there are cores, and compares the bytes: scripts/crew.sh SCENE [WORKERS...] (default 1 2 4; three rounds).
-# A cluster's time is that of submit, watch and fetch. FLAGS are passed to bake and submit. KILL=S kills the
-# leader (-9) S seconds after the submission.
+# Compares the time of one job on a cluster of single-threaded workers with the time of `sightline bake` on
+# all cores, and checks that both results have the same bytes.
+#
+#   scripts/crew.sh SCENE [WORKERS...]
+#
+# WORKERS are the numbers of workers. Default: 1 2 4. The script runs three rounds. The time of a cluster
+# includes submit, watch and fetch. The variable FLAGS contains flags for bake and submit. KILL=S kills the
+# leader with SIGKILL S seconds after the submission.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=target/release/sightline
-[ -x "$program" ] || { echo "crew: build first: cargo build --release --workspace" >&2; exit 1; }
+if [ ! -x "$program" ]; then
+    echo "crew: $program does not exist; run cargo build --release --workspace" >&2
+    exit 1
+fi
 scene=${1:?scripts/crew.sh SCENE [WORKERS...]}
 shift
 counts=("${@:-1}")
@@ -22,7 +29,8 @@ stop() {
 }
 trap 'stop; rm -rf "$folder"' EXIT
 
-seconds() {
+# milliseconds COMMAND…: Runs the command and prints its time in milliseconds.
+milliseconds() {
     local begun ended
     begun=$(date +%s%N)
     "$@" >"$folder/log" 2>&1 || { cat "$folder/log" >&2; exit 1; }
@@ -30,7 +38,8 @@ seconds() {
     echo $(((ended - begun) / 1000000))
 }
 
-# The first worker that does not help leads the only tile.
+# kill_leader SECONDS: Waits, and kills the worker that leads the only tile: the first worker that does not
+# help.
 kill_leader() {
     sleep "$1"
     local i
@@ -39,14 +48,17 @@ kill_leader() {
     done
 }
 
+# cluster URL: Runs the job on the coordinator and fetches the result.
 cluster() {
     "$program" submit "$scene" "${flags[@]}" --coordinator "$1" &&
         { [ -z "${KILL:-}" ] || kill_leader "$KILL"; } &&
-        "$program" watch 1 --coordinator "$1" && "$program" fetch 1 -o "$folder/cluster.pvs" --coordinator "$1"
+        "$program" watch 1 --coordinator "$1" &&
+        "$program" fetch 1 -o "$folder/cluster.pvs" --coordinator "$1"
 }
 
 for round in 1 2 3; do
-    one=$(seconds "$program" bake "$scene" "${flags[@]}" -o "$folder/one.pvs" --data-dir "$folder/one-$round")
+    one=$(milliseconds "$program" bake "$scene" "${flags[@]}" -o "$folder/one.pvs" \
+        --data-dir "$folder/one-$round")
     line="round $round: one process $one ms"
     for count in "${counts[@]}"; do
         data="$folder/$round-$count"
@@ -60,7 +72,7 @@ for round in 1 2 3; do
             workers+=($!)
         done
         sleep 1
-        many=$(seconds cluster "$url")
+        many=$(milliseconds cluster "$url")
         cmp "$folder/one.pvs" "$folder/cluster.pvs"
         line+=", $count workers $many ms ($(awk "BEGIN { printf \"%.2f\", $many / $one }"))"
         stop

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Cuts the only mesh of a GLB into objects: cut_glb.py IN.glb OUT.glb OBJECTS
+"""Divides the only mesh of a GLB file into objects of about equal size: cut_glb.py IN.glb OUT.glb OBJECTS
 
-Each object has consecutive triangles of the file, and all have about the same number, so triangles keep their
-ids. Buffers do not change: the objects are ranges of the one list of indices.
+Each object consists of consecutive triangles, so triangles keep their ids. The script does not change
+buffers: each object is a range of the existing list of indices.
 """
 
 import json
@@ -21,8 +21,9 @@ def main() -> None:
     document, rest = json.loads(data[20 : 20 + size]), data[20 + size :]
     primitives = [p for mesh in document["meshes"] for p in mesh["primitives"]]
     drawn = [n for n, node in enumerate(document["nodes"]) if "mesh" in node]
-    if len(primitives) != 1 or len(drawn) != 1 or primitives[0].get("mode", 4) != 4 or "indices" not in primitives[0]:
-        sys.exit(f"{source} has no single mesh of indexed triangles")
+    if (len(primitives) != 1 or len(drawn) != 1 or primitives[0].get("mode", 4) != 4
+            or "indices" not in primitives[0]):
+        sys.exit(f"{source} must contain one primitive, of indexed triangles, and one node with a mesh")
     primitive = primitives[0]
     indices = document["accessors"][primitive["indices"]]
     triangles, width = indices["count"] // 3, {5121: 1, 5123: 2, 5125: 4}[indices["componentType"]]
@@ -31,12 +32,13 @@ def main() -> None:
     for first, end in zip(edges, edges[1:]):
         if first < end:
             part = {key: value for key, value in indices.items() if key not in ("min", "max", "name")}
-            part |= {"byteOffset": indices.get("byteOffset", 0) + 3 * first * width, "count": 3 * (end - first)}
+            part |= {"byteOffset": indices.get("byteOffset", 0) + 3 * first * width,
+                     "count": 3 * (end - first)}
             document["accessors"].append(part)
             cut = primitive | {"indices": len(document["accessors"]) - 1}
             document["meshes"].append({"primitives": [cut], "name": f"part {len(document['meshes'])}"})
     node = document["nodes"][drawn[0]]
-    # The node of the mesh keeps its place; the objects are its first children.
+    # The node of the mesh stays and keeps its transform. The objects become its first children.
     del node["mesh"]
     first = len(document["nodes"])
     document["nodes"] += [{"mesh": m, "name": mesh["name"]} for m, mesh in enumerate(document["meshes"])]

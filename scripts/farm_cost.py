@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""What encryption, and what metrics and traces, cost a bake on a farm.
+"""Measures the cost of encryption and the cost of metrics for a bake on a farm.
 
     scripts/farm_cost.py [--program target/release/sightline] [--rounds 7] [--triangles 60000] [--error 0.001]
 
-Each round bakes the same town once on a farm of each kind, in turn: plain; with TLS, a client certificate for workers
-and tokens; and with metrics that are read every second. A farm is a coordinator and two workers of one thread each on
-this machine. Printed are the medians of wall-clock time and of the processor time of all processes, as ratios to the
-plain farm in the same round. Needs openssl, for the certificates.
+A farm is a coordinator and two single-threaded workers on this machine. Each round bakes the same town on a
+plain farm, on a farm with TLS, client certificates for workers and tokens for users, and on a farm whose
+metrics the script reads every second. The script prints medians of the wall-clock time and of the processor
+time of all processes, as ratios to the plain farm of the same round. It needs openssl for the certificates.
 """
 
 import argparse
@@ -27,7 +27,7 @@ KINDS = ("plain", "encrypted", "metrics")
 
 
 class Farm:
-    """A coordinator and two workers, ended with the block; counts their processor time."""
+    """A coordinator and two workers, which run inside a `with` block, and their processor time."""
 
     def __init__(self, program, folder, kind):
         self.program, self.folder, self.kind = program, folder, kind
@@ -41,14 +41,15 @@ class Farm:
         return self.folder / f"{log}.out"
 
     def line(self, path, begins):
-        """The rest of the first line that begins so, as soon as it is there."""
+        """Waits for the first line that begins with a text, and returns the rest of the line."""
         until = time.monotonic() + 30
         while time.monotonic() < until:
             for line in path.read_text().splitlines():
                 if line.startswith(begins):
                     return line[len(begins):].strip()
             time.sleep(0.02)
-        sys.exit(f"{path} has no line '{begins}…':\n{path.with_suffix('.err').read_text()}")
+        log = path.with_suffix(".err").read_text()
+        sys.exit(f"{path} contains no line that begins with '{begins}':\n{log}")
 
     def read(self, address):
         while not self.reading.wait(1.0):
@@ -63,7 +64,7 @@ class Farm:
             arguments += ["--metrics-listen", "127.0.0.1:0"]
         said = self.start("coordinator", *arguments, log="coordinator")
         url = self.line(said, "listening on ")
-        # The certificate names the host.
+        # The certificate is valid for the name localhost.
         url = url.replace("127.0.0.1", "localhost") if self.kind == "encrypted" else url
         addresses = [self.line(said, "metrics on ")] if self.kind == "metrics" else []
         self.client = ["--coordinator", url]
@@ -82,7 +83,7 @@ class Farm:
         return self
 
     def run(self, *arguments):
-        """Runs a client to its end; gives what it printed."""
+        """Runs a client, adds its processor time, and returns its output."""
         with open(self.folder / "client.out", "w+") as out, open(self.folder / "client.err", "w+") as err:
             child = subprocess.Popen(
                 [self.program, *arguments, *self.client], stdout=out, stderr=err, cwd=self.folder
@@ -93,7 +94,7 @@ class Farm:
             out.seek(0)
             err.seek(0)
             if child.returncode != 0:
-                sys.exit(f"{' '.join(arguments)} ended with {child.returncode}:\n{err.read()}")
+                sys.exit(f"{' '.join(arguments)} ended with exit code {child.returncode}:\n{err.read()}")
             return out.read()
 
     def __exit__(self, *_):
@@ -107,7 +108,10 @@ class Farm:
 
 
 def bake(program, folder, kind, options):
-    """Wall-clock and processor seconds of a bake on a new farm, and the bytes of the result."""
+    """Bakes on a new farm.
+
+    Returns the wall-clock seconds, the processor seconds and the bytes of the result.
+    """
     shutil.rmtree(folder / "data", ignore_errors=True)
     with Farm(program, folder, kind) as farm:
         began = time.monotonic()
@@ -119,7 +123,8 @@ def bake(program, folder, kind, options):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", default=ROOT / "target/release/sightline", type=pathlib.Path)
     parser.add_argument("--rounds", default=7, type=int)
     parser.add_argument("--triangles", default=60000, type=int)
@@ -139,20 +144,21 @@ def main():
         options = ["--cells", "8x4x8", "--block-cells", "16", "--target-error", arguments.error]
         ratios = {kind: [] for kind in KINDS[1:]}
         for number in range(arguments.rounds):
-            # In another order each round, so that what changes slowly falls on all kinds.
+            # The order changes each round, so that slow changes of the machine affect all kinds equally.
             order = KINDS[number % 3:] + KINDS[: number % 3]
             took = {kind: bake(program, folder, kind, options) for kind in order}
             wall, seconds, bytes_ = took["plain"]
             for kind in KINDS[1:]:
                 if took[kind][2] != bytes_:
-                    sys.exit(f"the farm '{kind}' gave other bytes than the plain one")
+                    sys.exit(f"the result of the farm '{kind}' differs from the result of the plain farm")
                 ratios[kind].append((took[kind][0] / wall, took[kind][1] / seconds))
-            print(f"round {number + 1}: plain {wall:.2f} s, {seconds:.2f} s of processors", file=sys.stderr)
-        print(f"{arguments.rounds} rounds, {arguments.triangles} triangles at {arguments.error}")
+            print(f"round {number + 1}: plain wall {wall:.2f} s, processor {seconds:.2f} s", file=sys.stderr)
+        print(f"{arguments.rounds} rounds, {arguments.triangles} triangles, target error {arguments.error}")
         for kind, pairs in ratios.items():
             walls, seconds = zip(*pairs)
             spread = f"{min(seconds):.3f} to {max(seconds):.3f}"
-            print(f"{kind}: wall {statistics.median(walls):.3f}, processors {statistics.median(seconds):.3f} ({spread})")
+            wall, processor = statistics.median(walls), statistics.median(seconds)
+            print(f"{kind}: wall {wall:.3f}, processor {processor:.3f} ({spread})")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Fails when a line of a tracked .rs, .proto or .wgsl file is wider than 110 characters, and prints each as file:line:
-# width. Characters are counted, not bytes; the bytes that continue a UTF-8 character are dropped first, so
-# that the result does not depend on the locale.
+# Checks that no line of a tracked .rs, .proto or .wgsl file has more than 110 characters, and prints each
+# longer line as `file:line: width`. The script deletes the continuation bytes of UTF-8 characters before it
+# counts, so that the result does not depend on the locale.
 #
 #   scripts/lines.sh
 set -euo pipefail
@@ -11,7 +11,7 @@ most=110
 wide=$(
   git ls-files -z -- '*.rs' '*.proto' '*.wgsl' |
     while IFS= read -r -d '' file; do
-      # A tracked file that was deleted in the work tree has no lines.
+      # The index still lists files that were deleted from the work tree.
       [ -f "$file" ] || continue
       LC_ALL=C tr -d '\200-\277' <"$file" |
         LC_ALL=C awk -v file="$file" -v most="$most" \

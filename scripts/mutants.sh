@@ -1,22 +1,24 @@
 #!/usr/bin/env bash
-# Mutation testing: which changes of the code would no test notice?
+# Runs mutation tests: finds small changes of the code ("mutants") that no unit test detects ("survivors").
 #
 #   scripts/mutants.sh [--seed N] [--sample N] [--list] AREA…
 #
-# An AREA is `filters` (every mutant of the exact filters), `store`, `access`, `results` or `scheduler` (a sample of the
-# mutants of that part of the coordinator), or `all`. --sample is the size of each sample (default: 40), --seed selects
-# another one (default: 1). --list prints the mutants and runs nothing. Each mutant costs a build and the tests of its
-# crate, so `all` takes hours on two cores.
+# AREA is `filters` (all mutants of the exact filters), `store`, `access`, `results` or `scheduler` (a sample
+# of the mutants of this part of the coordinator), or `all`. --sample is the number of mutants in a sample.
+# Default: 40. --seed selects the sample. Default: 1. --list prints the mutants and runs no tests. Each mutant
+# requires a build and the tests of its crate, so `all` takes hours on two cores.
 #
-# cargo-mutants changes the committed files in a worktree below target/mutants, one mutant at a time, and runs unit tests,
-# without optimisation: those of the area first, and all of the crate for mutants that survive them. The reports are in target/mutants/AREA. The script prints the survivors and
-# fails if fewer than 90 % of the mutants of an area were killed. scripts/mutants.toml lists the mutants that are equivalent
-# to the code, with reasons; they are not run.
+# cargo-mutants changes the committed files in a worktree in target/mutants, one mutant at a time, and runs
+# unit tests without optimisation: first the tests of the area, then all tests of the crate for the survivors.
+# The reports are in target/mutants/AREA. The script prints the survivors, and fails if the tests killed fewer
+# than 90 % of the mutants of an area. scripts/mutants.toml lists mutants that are equivalent to the code,
+# with reasons. The script does not run these mutants.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-# Another version makes other mutants, and so other samples.
+# The version of cargo-mutants. Another version generates other mutants, and therefore other samples.
 mutants_version=27.1.0
+# The share of mutants that the tests must kill, in per cent.
 least_percent=90
 
 die() { printf 'mutants: %s\n' "$*" >&2; exit 1; }
@@ -27,15 +29,15 @@ while [ $# -gt 0 ]; do
     --seed) seed=${2:?--seed needs a number}; shift 2 ;;
     --sample) sample=${2:?--sample needs a number}; shift 2 ;;
     --list) list=yes; shift ;;
-    -*) die "unknown option $1; see the head of this script" ;;
+    -*) die "unknown option $1; the first lines of scripts/mutants.sh list the options" ;;
     *) break ;;
   esac
 done
 [ $# -gt 0 ] || die 'name an area: filters, store, access, results, scheduler or all'
 [ "$*" != all ] || set -- filters store access results scheduler
 
-# The exact filters: crate, file, and the tests that run. Without a filter of tests most of the time would go to
-# searches through line space.
+# Prints the exact filters: crate, file, and the prefix of the tests to run. All tests of a crate would search
+# line space for most of the time.
 filters() {
   cat <<'END'
 sightline-geometry crates/geometry/src/predicates.rs predicates::
@@ -44,7 +46,7 @@ sightline-exact crates/exact/src/geometry/predicates.rs geometry::predicates::
 sightline-exact crates/exact/src/arithmetic/double_double.rs arithmetic::
 sightline-exact crates/exact/src/line_space/space/rounded.rs line_space::space::
 sightline-tetra crates/tetra/src/delaunay/predicates.rs delaunay::predicates::
-sightline-tetra crates/tetra/src/look/rounded.rs look::rounded::
+sightline-tetra crates/tetra/src/point_query/rounded.rs point_query::rounded::
 END
 }
 
@@ -53,9 +55,11 @@ if ! command -v cargo-mutants >/dev/null; then
   PATH=$tools/bin:$PATH
 fi
 if [ "$(cargo mutants --version 2>/dev/null)" != "cargo-mutants $mutants_version" ]; then
-  # Built without optimisation: it is ready several times sooner, and the builds of mutants take all the time.
+  # Without optimisation, cargo builds this tool several times faster. The builds of mutants take most of the
+  # time in any case.
   CARGO_PROFILE_RELEASE_OPT_LEVEL=0 CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 \
-    cargo install --quiet --locked --root "$tools" --target-dir target/tools/build --version "$mutants_version" cargo-mutants
+    cargo install --quiet --locked --root "$tools" --target-dir target/tools/build \
+    --version "$mutants_version" cargo-mutants
   PATH=$tools/bin:$PATH
 fi
 
@@ -68,20 +72,20 @@ git worktree add --quiet --detach "$tree" HEAD
 trap 'git worktree remove --force "$tree"' EXIT
 config=$PWD/scripts/mutants.toml
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$out/build}
-# Dependencies stay as they are. One mutant changes one function, so incremental builds without debug information are
+# A mutant changes one function and no dependency, so incremental builds without debug information are
 # fastest.
 export CARGO_PROFILE_DEV_OPT_LEVEL=0 CARGO_PROFILE_DEV_DEBUG=false CARGO_INCREMENTAL=1
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-${TMPDIR:-/tmp}}
 
-# names CRATE FILE: the names of the mutants, one a line.
+# names CRATE FILE: Prints the names of the mutants, one per line.
 names() { (cd "$tree" && cargo mutants --config "$config" --package "$1" --list --file "$2"); }
 
-# drawn CRATE FILE: the names of a sample, always the same for a seed.
+# drawn CRATE FILE: Prints the names of a sample, which depends only on the seed, the size and the mutants.
 drawn() {
   names "$@" | python3 -c '
 import collections, hashlib, re, sys
 seed, size = sys.argv[1], int(sys.argv[2])
-# Line numbers do not count, so that an edit elsewhere does not change the sample.
+# The keys do not contain line numbers, so that an edit of other code does not change the sample.
 seen, keyed = collections.Counter(), []
 for line in sys.stdin.read().splitlines():
     bare = re.sub(r":[0-9]+:[0-9]+: ", ": ", line)
@@ -90,7 +94,8 @@ for line in sys.stdin.read().splitlines():
 print("\n".join(line for _, line in sorted(keyed)[:size]))' "$seed" "$sample"
 }
 
-# matching: turns names of mutants, one a line, into arguments that select them.
+# matching: Reads names of mutants, one per line, and sets `arguments` to the options that select these
+# mutants.
 matching() {
   arguments=()
   local mutant
@@ -99,7 +104,7 @@ matching() {
   done
 }
 
-# missed AREA: prints the survivors of the last pass.
+# missed AREA: Prints the survivors of the first pass.
 missed() {
   python3 - "$out/$1/1/mutants.out/outcomes.json" <<'END'
 import json, sys
@@ -109,24 +114,24 @@ for outcome in json.load(open(sys.argv[1]))["outcomes"]:
 END
 }
 
-# test_mutants OUT CRATE TESTS ARGUMENTS…: runs the selected mutants against the unit tests whose names contain one of
-# TESTS.
+# test_mutants OUT CRATE TESTS ARGUMENTS…: Runs the unit tests whose names contain one of TESTS on the
+# selected mutants. With an empty TESTS, runs all unit tests of the crate.
 test_mutants() {
   local to=$1 crate=$2 tests=$3 status=0
   shift 3
   mkdir -p "$to"
-  # 2 means survivors and 3 timeouts; the summary below is about these.
+  # Status 2 means survivors, and status 3 means timeouts. `summary` reports both.
   (cd "$tree" && cargo mutants --config "$config" --package "$crate" --in-place --no-times --colors never \
     --minimum-test-timeout 60 --output "$to" "$@" -- --lib -- $tests) || status=$?
   case $status in 0 | 2 | 3) ;; *) die "cargo mutants ended with status $status for $crate" ;; esac
 }
 
-# summary AREA: prints the survivors and fails if too many mutants survived.
+# summary AREA: Prints the survivors, and fails if too many mutants survived.
 summary() {
   python3 - "$1" "$least_percent" "$out/$1"/*/mutants.out/outcomes.json <<'END'
 import json, sys
 area, least, files = sys.argv[1], float(sys.argv[2]), sys.argv[3:]
-# A later pass decides about the survivors of an earlier one.
+# The second pass ran the survivors of the first pass again, so its outcomes replace the first ones.
 kinds = {}
 for file in files:
     for outcome in json.load(open(file))["outcomes"]:
@@ -173,14 +178,14 @@ for area; do
         continue
       fi
       matching < <(printf '%s\n' "${mutants[@]}")
-      # Mutants that delete a field are not filtered by --re, so those of the area join its sample.
+      # --re does not filter mutants that delete a field, so all such mutants of the area are in the sample.
       test_mutants "$out/$area/1" "sightline-$crate" "$tests" --file "$files" "${arguments[@]}"
       mapfile -t mutants < <(missed "$area")
       if [ ${#mutants[@]} -gt 0 ]; then
         matching < <(printf '%s\n' "${mutants[@]}")
-        # All tests of the coordinator, which uses the other crates.
-        test_mutants "$out/$area/2" "sightline-$crate" '' --test-package sightline-coordinator --file "$files" \
-          "${arguments[@]}"
+        # The second pass also runs all tests of the coordinator, which uses the other crates.
+        test_mutants "$out/$area/2" "sightline-$crate" '' --test-package sightline-coordinator \
+          --file "$files" "${arguments[@]}"
       fi
       ;;
     *) die "unknown area $area; use filters, store, access, results, scheduler or all" ;;

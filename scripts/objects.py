@@ -1,9 +1,16 @@
 #!/usr/bin/env python3
 """Compares bakes of objects with bakes of triangles: objects.py SCENE.glb... [-- OPTIONS OF BAKE]
 
-For each scene, prints the share of the objects of the triangles' sets that the bake of objects lacks (missed),
-the share of those that it adds (added), and its time and bytes divided by those of the triangles. "by chance"
-is what a bake of triangles with another seed lacks. The program is SIGHTLINE, or `sightline` on the path.
+The bake of triangles gives a set of objects for each cell: the objects of the visible triangles. For each
+scene, the script prints a row with the following columns:
+
+    missed     the share of these objects that are missing from the bake of objects
+    by chance  the share of these objects that are missing from a bake of triangles with another seed
+    added      the share of the objects of the bake of objects that are missing from the bake of triangles
+    time       the time of the bake of objects, divided by the time of the bake of triangles
+    bytes      the size of its result, divided by the size of the result of the bake of triangles
+
+The variable SIGHTLINE names the program. Default: `sightline` on the PATH.
 """
 
 import json
@@ -17,7 +24,7 @@ PROGRAM = os.environ.get("SIGHTLINE", "sightline")
 
 
 def bake(scene: str, folder: str, name: str, options: list[str]) -> tuple[list[set[int]], float, int]:
-    """Returns the objects of each cell, seconds and bytes."""
+    """Bakes a scene. Returns the set of objects of each cell, the time in seconds and the size in bytes."""
     out, store = os.path.join(folder, f"{name}.pvs"), os.path.join(folder, name)
     begun = time.monotonic()
     subprocess.run(
@@ -25,13 +32,14 @@ def bake(scene: str, folder: str, name: str, options: list[str]) -> tuple[list[s
         check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     seconds = time.monotonic() - begun
-    text = subprocess.run([PROGRAM, "dump", out, "--items", "objects"], check=True, capture_output=True).stdout
+    text = subprocess.run([PROGRAM, "dump", out, "--items", "objects"], check=True,
+                          capture_output=True).stdout
     cells = [json.loads(line) for line in text.splitlines()]
     return [set(cell["visible"]) for cell in cells if "visible" in cell], seconds, os.path.getsize(out)
 
 
 def lacks(sets: list[set[int]], of: list[set[int]]) -> float:
-    """Returns the share of the objects of one bake that another one lacks."""
+    """Returns the share of the objects in `of` that are missing from `sets`."""
     return sum(len(b - a) for a, b in zip(sets, of, strict=True)) / max(sum(map(len, of)), 1)
 
 
@@ -51,7 +59,8 @@ def main() -> None:
         shares = [lacks(objects, whole), lacks(other, whole), lacks(whole, objects)]
         name = os.path.basename(scene).removesuffix(".glb")
         print(
-            f"| {name} | {' | '.join(f'{100 * s:.2f} %' for s in shares)} | {fast / slow:.2f} | {small / large:.2f} |",
+            f"| {name} | {' | '.join(f'{100 * s:.2f} %' for s in shares)} | {fast / slow:.2f} "
+            f"| {small / large:.2f} |",
             flush=True,
         )
 

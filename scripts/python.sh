@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Builds the Python package as a user does, with pip, in an environment of its own, and runs its tests and the example
-# of its README with it. This compiles everything once more, optimised, and so is not part of scripts/test.sh; there the
-# same tests run with the library that is built with the program.
+# Builds the Python package with pip in a new virtual environment, as a user does, and runs the tests of the
+# package. The tests include the example of its README. pip compiles all crates again with optimisation, so
+# scripts/test.sh does not run this script. scripts/test.sh runs the same tests with the library that cargo
+# builds next to the program.
 #
 #   scripts/python.sh
 set -euo pipefail
@@ -12,7 +13,8 @@ environment=$(mktemp -d "${TMPDIR:-/tmp}/sightline-python.XXXXXX")
 trap 'rm -rf "$environment"' EXIT
 
 python3 -m venv "$environment"
-CARGO_TARGET_DIR=$target "$environment/bin/python" -m pip install --quiet --disable-pip-version-check './python[test]'
+CARGO_TARGET_DIR=$target "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
+  './python[test]'
 cargo build --release --locked
 cd "$environment"
 SIGHTLINE_BIN=$target/release/sightline PYTHONDONTWRITEBYTECODE=1 \

@@ -3,10 +3,10 @@
 
     scripts/run_tests.py [--jobs N] [--skip TEXT]...
 
-cargo runs one test program after the other, and most of them wait for processes that they started. This script
-builds them with cargo and runs N at a time (default: the number of processors). A program in ALONE runs while no
-other one does. The output of a program is printed if a test of it fails. --skip is handed to each program; it leaves
-out the tests whose names contain TEXT.
+cargo runs one test program after the other, and most test programs wait for processes that they started. This
+script builds the test programs with cargo and runs N at a time. Default: the number of processors. It runs
+each program of ALONE without other programs. If a test fails, the script prints the output of the test's
+program. --skip excludes the tests whose names contain TEXT.
 """
 
 import argparse
@@ -18,18 +18,18 @@ import subprocess
 import sys
 import time
 
-# Programs that measure how long an answer takes.
+# Programs that measure response times, which other programs would affect.
 ALONE = {"hostile"}
-# The programs that take longest, so that none of them begins last.
+# The slowest programs. They begin first, so that the script does not wait for one of them at the end.
 FIRST = ["chaos", "cluster", "direct", "objects", "bake", "portals", "sights", "replicas"]
-# The time in seconds after which a program hangs.
+# The time limit of a program, in seconds.
 LIMIT = 1200
-# The programs that run now.
+# The processes of the running programs.
 RUNNING = set()
 
 
 def programs():
-    """Builds the test programs; returns the name, the file and the folder of the package of each."""
+    """Builds the test programs. Returns the name, the file and the folder of the package of each program."""
     command = ["cargo", "test", "--locked", "--workspace", "--test", "*", "--no-run"]
     command += ["--message-format=json-render-diagnostics"]
     built = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
@@ -46,12 +46,15 @@ def programs():
 
 
 def run(program, skip):
-    """Runs a test program; returns its name, the seconds that it took, its failure and its output."""
+    """Runs a test program.
+
+    Returns its name, the time in seconds, the failure or an empty text, and the output.
+    """
     name, file, folder = program
     arguments = [argument for text in skip for argument in ("--skip", text)]
     started = time.monotonic()
     environment = dict(os.environ, CARGO_MANIFEST_DIR=folder)
-    # A group of its own, so that a program that hangs ends with the processes that it started.
+    # In a separate session, `killpg` ends the program together with the processes that it started.
     started_program = subprocess.Popen(
         [file, *arguments], cwd=folder, env=environment, start_new_session=True,
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -63,20 +66,21 @@ def run(program, skip):
     except subprocess.TimeoutExpired:
         os.killpg(started_program.pid, signal.SIGKILL)
         output, _ = started_program.communicate()
-        failure = f"no end after {LIMIT} s"
+        failure = f"still running after {LIMIT} s"
     RUNNING.discard(started_program)
     return name, time.monotonic() - started, failure, output.decode(errors="replace")
 
 
 def stop(number, _frame):
-    """Ends the programs that run, with their processes, and this one."""
+    """Kills the running programs with their processes, and ends the script."""
     for program in list(RUNNING):
         os.killpg(program.pid, signal.SIGKILL)
     os._exit(128 + number)
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--skip", action="append", default=[])
     arguments = parser.parse_args()

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""A picture of a page that has been open for some seconds, so that what it asks its server for has come.
+"""Opens a web page, waits until the page has received its data, and stores a screenshot.
 
-  scripts/screenshot.py URL OUT.png WIDTH HEIGHT SECONDS
+    scripts/screenshot.py URL OUT.png WIDTH HEIGHT SECONDS
 
-Needs chromium and chromedriver (scripts/setup.sh --for test).
+WIDTH and HEIGHT are the size of the window in pixels. SECONDS is the time between the opening and the
+screenshot. The script needs chromium and chromedriver (scripts/setup.sh --for test).
 """
 import base64
 import json
@@ -24,10 +25,12 @@ def main():
         def call(path, body=None, method=None):
             data = None if body is None else json.dumps(body).encode()
             request = urllib.request.Request(
-                f"http://127.0.0.1:{port}/session{path}", data, {"content-type": "application/json"}, method=method)
+                f"http://127.0.0.1:{port}/session{path}", data, {"content-type": "application/json"},
+                method=method)
             return json.load(urllib.request.urlopen(request, timeout=60))["value"]
 
-        arguments = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+        arguments = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader",
+                     "--enable-unsafe-swiftshader",
                      "--hide-scrollbars", f"--window-size={width},{height}"]
         wanted = {"capabilities": {"alwaysMatch": {"goog:chromeOptions": {"args": arguments}}}}
         session = "/" + call("", wanted)["sessionId"]
@@ -37,7 +40,7 @@ def main():
             with open(out, "wb") as picture:
                 picture.write(base64.b64decode(call(f"{session}/screenshot")))
         finally:
-            # The browser outlives its driver.
+            # The browser does not end with its driver, so end the browser first.
             call(session, method="DELETE")
     finally:
         driver.kill()

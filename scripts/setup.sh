@@ -1,14 +1,18 @@
 #!/usr/bin/env bash
-# Installs what Sightline needs from Debian's packages and this machine lacks. Debian 12 and newer; with Rust already there.
+# Installs the Debian packages that Sightline needs and that this machine lacks. Requires Debian 12 or newer
+# and an installed Rust toolchain.
 #
 #   scripts/setup.sh [--for run|test]      default: run
 #
-# run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, git, strace, what the chaos harness needs (ip, openssl, faketime), and where CI is set what checks deploy/, a container
-#       engine, compose and debootstrap. Elsewhere no engine is installed unasked,
-#       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
+# run   a C compiler for crates that compile C, the Vulkan loader, and a Vulkan driver
+# test  the packages of run, and the tools of scripts/test.sh: Embree, curl, git, strace, openssl, a browser and its driver,
+#       PostgreSQL, Mono, venv for Python, and ip and faketime for the chaos harness. If CI is set, also the
+#       tools that check deploy/, a container engine, compose and debootstrap. Without CI, the script does not
+#       install a container engine, because the daemon of the engine runs as root. If an engine already runs,
+#       the script installs the other tools of the container test.
 #
-# Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
+# If no package is missing, the script needs neither root nor a network. It does not install Rust crates:
+# cargo downloads them during a build.
 set -euo pipefail
 
 say() { printf 'setup: %s\n' "$*" >&2; }
@@ -19,81 +23,97 @@ while [ $# -gt 0 ]; do
   case $1 in
     --for)
       purpose=${2:-}
-      shift 2 || die '--for wants run or test'
+      shift 2 || die '--for needs a value: run or test'
       ;;
     *) die "unknown argument '$1'; usage: scripts/setup.sh [--for run|test]" ;;
   esac
 done
-case $purpose in run | test) ;; *) die "--for wants run or test, not '$purpose'" ;; esac
+case $purpose in run | test) ;; *) die "--for must be run or test, got '$purpose'" ;; esac
 
-# A user's PATH on Debian leaves out where ldconfig and debootstrap live.
+# On Debian, the PATH of users other than root lacks the folders of ldconfig and debootstrap.
 PATH=$PATH:/usr/sbin:/sbin
 
 have() { command -v "$1" >/dev/null 2>&1; }
 libraries=$(ldconfig -p)
 have_library() { [[ $libraries == *"$1 "* ]]; }
-have_vulkan_driver() { compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null; }
+have_vulkan_driver() {
+  compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null
+}
 in_ci() { [ -n "${CI:-}" ] && [ "$CI" != false ]; }
 engine_answers() { docker info >/dev/null 2>&1; }
 have_compose() { have docker-compose || docker compose version >/dev/null 2>&1; }
 
 if ! have cargo && [ -r "$HOME/.cargo/env" ]; then
-  # rustup writes this for login shells; a script started elsewhere has not read it.
+  # This file of rustup adds cargo to the PATH. Only login shells read the file by themselves.
   . "$HOME/.cargo/env"
 fi
-have cargo || die 'cargo is not on the PATH; install Rust 1.90 or newer (https://rustup.rs), open a new shell and run this again'
+have cargo || die 'cargo is not on the PATH; install Rust 1.90 or newer (https://rustup.rs), open a new' \
+  'shell and run scripts/setup.sh again'
 
-# Every missing thing adds one entry "package<TAB>what it is for" here.
+# The missing packages. Each entry is "package<TAB>purpose".
 missing=()
+# need PACKAGE PURPOSE: Adds an entry to the missing packages.
 need() { missing+=("$1"$'\t'"$2"); }
 
-have cc || need gcc 'C compiler, for crates that build C (zstd, blake3)'
+have cc || need gcc 'C compiler, for crates that compile C (zstd, blake3)'
 [ -e /usr/include/stdlib.h ] || need libc6-dev 'C headers'
 have_library libvulkan.so.1 || need libvulkan1 'Vulkan loader'
-have_vulkan_driver || need mesa-vulkan-drivers 'Vulkan drivers, among them lavapipe for machines without a GPU'
-have_library libembree3.so.3 || have_library libembree4.so.4 || need EMBREE 'Embree, the CPU ray tracer'
+have_vulkan_driver || need mesa-vulkan-drivers 'Vulkan drivers, including lavapipe for machines without a GPU'
 
 if [ "$purpose" = test ]; then
-  have git || need git 'cargo deny fetches the advisories with it'
-  have chromedriver || need chromium-driver 'drives the browser of the tests of pages'
-  have chromium || need chromium 'the browser of the tests of pages'
-  compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || need postgresql 'the database of the tests of replicas, and of the chaos harness'
-  have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
-  python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test, and checks the chart'
-  have strace || need strace 'records the order of system calls, for the tests of what is synced'
-  have openssl || need openssl 'makes certificates, of the chaos harness too'
-  # Two of them are daemons, which a package starts; elsewhere scripts/check-deploy.sh says what it leaves out.
+  have_library libembree3.so.3 || have_library libembree4.so.4 ||
+    need EMBREE 'Embree, for the tests of the backend embree and for the chaos harness'
+  have curl || need curl 'curl, which the commands of docs/farm.md use'
+  have git || need git 'git, with which cargo deny downloads security advisories'
+  have chromedriver || need chromium-driver 'driver of the browser, for the tests of web pages'
+  have chromium || need chromium 'browser, for the tests of web pages'
+  compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null ||
+    need postgresql 'database, for the tests of several coordinators and for the chaos harness'
+  have mcs || need mono-mcs 'C# compiler and run-time, for the test of the C# reader'
+  python3 -c 'import venv, ensurepip' 2>/dev/null ||
+    need python3-venv 'virtual environments, for the tests of the Python package and the check of the chart'
+  have strace || need strace 'recorder of system calls, for the tests of the sync order'
+  have openssl || need openssl 'creation of certificates, for tests and for the chaos harness'
+  # The packages prometheus and haproxy start daemons, so the script installs these tools only in continuous
+  # integration. Without them, scripts/check-deploy.sh prints a line for each check that it skips.
   if in_ci; then
-    have systemd-analyze || need systemd 'checks the units'
-    have promtool || need prometheus 'its promtool checks the rules of alerts'
-    have haproxy || need haproxy 'checks its own configuration'
+    have systemd-analyze || need systemd 'systemd-analyze, for the check of the units'
+    have promtool || need prometheus 'promtool, for the check of the alert rules'
+    have haproxy || need haproxy 'HAProxy, for the check of its configuration'
   fi
-  have ip || need iproute2 'network namespaces of the chaos harness'
-  compgen -G '/usr/lib/*/faketime/libfaketimeMT.so.1' >/dev/null || need faketime 'steps the clock in the chaos harness'
+  have ip || need iproute2 'creation of network namespaces, for the chaos harness'
+  compgen -G '/usr/lib/*/faketime/libfaketimeMT.so.1' >/dev/null ||
+    need faketime 'changes of the clock, for the chaos harness'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
-    # Debian 13 packs the engine's command line apart from the daemon; on Debian 12 docker.io holds both.
+    # In Debian 13, the package docker-cli contains the command line; in Debian 12, docker.io contains it.
     have docker || need DOCKER_CLI 'command line of the container engine'
     have_compose || need docker-compose 'compose, for the container test'
-    have debootstrap || need debootstrap 'makes the base image where none can be pulled'
+    have debootstrap || need debootstrap 'creation of the base image without a registry'
   else
-    say "no container engine answers: the container test will not run (to have it: apt-get install docker.io docker-compose debootstrap)"
+    say 'no container engine answers, so the container test will not run; to run it:' \
+      'apt-get install docker.io docker-compose debootstrap'
   fi
 fi
 
 if [ ${#missing[@]} -gt 0 ]; then
-  have apt-get || die "missing: $(printf '%s; ' "${missing[@]#*$'\t'}")and there is no apt-get here to install them; install them by your system's means"
+  purposes=$(printf '%s; ' "${missing[@]#*$'\t'}")
+  have apt-get ||
+    die "missing: ${purposes}apt-get does not exist here; use the package manager of your system"
   as_root=()
   if [ "$(id -u)" != 0 ]; then
-    have sudo || die "missing: $(printf '%s; ' "${missing[@]#*$'\t'}")installing needs root; run this as root once, or install sudo"
+    have sudo || die "missing: ${purposes}run scripts/setup.sh as root to install these, or install sudo"
     as_root=(sudo)
   fi
   log=$(mktemp "${TMPDIR:-/tmp}/sightline-setup.XXXXXX")
   trap 'rm -f "$log"' EXIT
   "${as_root[@]}" apt-get update -q >"$log" 2>&1 ||
-    { tail -n 15 "$log" >&2; die 'apt-get update failed (above); check the network and /etc/apt/sources.list'; }
+    { tail -n 15 "$log" >&2; die 'apt-get update failed, see above; check the network and apt sources'; }
 
-  installable() { [ -n "$(apt-cache policy "$1" 2>/dev/null | awk '/Candidate:/ && $2 != "(none)" { print $2 }')" ]; }
+  # installable PACKAGE: Succeeds if apt offers a version of the package.
+  installable() {
+    [ -n "$(apt-cache policy "$1" 2>/dev/null | awk '/Candidate:/ && $2 != "(none)" { print $2 }')" ]
+  }
   packages=()
   for entry in "${missing[@]}"; do
     package=${entry%%$'\t'*}
@@ -102,7 +122,10 @@ if [ ${#missing[@]} -gt 0 ]; then
       EMBREE)
         if installable libembree4-4; then package=libembree4-4
         elif installable libembree3-3; then package=libembree3-3
-        else die 'apt offers neither libembree4-4 nor libembree3-3; enable Debian main, or install Embree 3 or 4 by hand'; fi ;;
+        else
+          die 'apt offers neither libembree4-4 nor libembree3-3; enable the component main of Debian, or' \
+            'install Embree 3 or 4 yourself'
+        fi ;;
       DOCKER_CLI)
         installable docker-cli || continue
         package=docker-cli ;;
@@ -111,11 +134,15 @@ if [ ${#missing[@]} -gt 0 ]; then
     say "installing $package: $purpose_text"
     packages+=("$package")
   done
-  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "${packages[@]}" >"$log" 2>&1 ||
-    { tail -n 25 "$log" >&2; die "apt-get could not install ${packages[*]} (above); repair that and run this again"; }
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    apt-get install -q -y --no-install-recommends "${packages[@]}" >"$log" 2>&1 || {
+    tail -n 25 "$log" >&2
+    die "apt-get could not install ${packages[*]}, see above; fix the cause and run scripts/setup.sh again"
+  }
 fi
 
-# Installing the engine's package starts it where an init system runs; a bare container or a rescue shell has none.
+# The package of the engine starts the daemon only if an init system runs. A container has no init system, so
+# the script starts the daemon.
 if [ "$purpose" = test ] && in_ci && ! engine_answers; then
   as_root=()
   [ "$(id -u)" = 0 ] || as_root=(sudo)
@@ -123,12 +150,13 @@ if [ "$purpose" = test ] && in_ci && ! engine_answers; then
   if [ -d /run/systemd/system ]; then
     "${as_root[@]}" systemctl start docker || true
   else
-    # service(8) knows dockerd's flags from /etc/default/docker; starting it is all that is wanted here.
+    # service(8) reads the options of dockerd from /etc/default/docker.
     "${as_root[@]}" service docker start >/dev/null 2>&1 || true
   fi
   for _ in $(seq 30); do
     engine_answers && break
     sleep 1
   done
-  engine_answers || say "the container engine does not answer; see 'docker info' and /var/log/docker.log (as a plain user: join the group docker)"
+  engine_answers || say "the container engine does not answer; see 'docker info' and /var/log/docker.log." \
+    'If you are not root, join the group docker'
 fi

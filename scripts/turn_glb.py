@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Turns a GLB about an axis through the origin: turn_glb.py IN.glb OUT.glb DEGREES x|y|z [X,Y,Z ...]
+"""Rotates the scene of a GLB file about an axis through the origin, and prints the rotated points.
 
-All roots become children of one turned node, so a loader rounds every corner once more. Prints where the
-points come to be.
+    turn_glb.py IN.glb OUT.glb DEGREES x|y|z [X,Y,Z ...]
+
+All roots become children of one rotated node. A loader therefore rounds the coordinates of each corner a
+second time.
 """
 
 import json
@@ -14,7 +16,8 @@ import sys
 def main() -> None:
     if len(sys.argv) < 5 or sys.argv[4] not in ("x", "y", "z"):
         sys.exit(__doc__)
-    source, target, angle, axis = sys.argv[1], sys.argv[2], math.radians(float(sys.argv[3])), "xyz".index(sys.argv[4])
+    source, target = sys.argv[1:3]
+    angle, axis = math.radians(float(sys.argv[3])), "xyz".index(sys.argv[4])
     data = open(source, "rb").read()
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
         sys.exit(f"{source} is not a GLB file")

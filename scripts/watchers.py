@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""What watchers of the dashboard cost a coordinator: the CPU time of its process over half a minute, with a job at
-work on a worker, without watchers and with ten that look at the job and the workers.
+"""Measures the CPU time that clients of the dashboard cost a coordinator.
 
-  scripts/watchers.py path/to/sightline
+    scripts/watchers.py path/to/sightline
 
-Linux alone: it reads /proc.
+The script measures the coordinator's process for half a minute while a worker computes a job: first without
+clients, then with ten clients that receive the events of the job and of the workers. It runs only on Linux,
+because it reads /proc.
 """
 import os
 import subprocess
@@ -19,7 +20,7 @@ WATCHERS = 10
 
 
 def cpu(pid):
-    """User and system time of a process, in seconds."""
+    """Returns the user and system time of a process, in seconds."""
     fields = open(f"/proc/{pid}/stat").read().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -33,10 +34,12 @@ def watch(url, stop, heard):
 def main():
     program = os.path.abspath(sys.argv[1])
     with tempfile.TemporaryDirectory() as folder:
-        run = lambda *args: subprocess.run([program, *args], cwd=folder, check=True, capture_output=True, text=True).stdout
+        run = lambda *args: subprocess.run(
+            [program, *args], cwd=folder, check=True, capture_output=True, text=True).stdout
         run("generate", "town", "--triangles", "60000", "-o", "town.glb")
         coordinator = subprocess.Popen(
-            [program, "coordinator", "--data-dir", "data", "--listen", "127.0.0.1:0", "--http", "127.0.0.1:0"],
+            [program, "coordinator", "--data-dir", "data", "--listen", "127.0.0.1:0", "--http",
+             "127.0.0.1:0"],
             cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         url = coordinator.stdout.readline().split()[-1]
         pages = coordinator.stdout.readline().split()[-1]
@@ -59,8 +62,10 @@ def main():
             time.sleep(SECONDS)
             watched = cpu(coordinator.pid) - before
             stop.set()
-            print(f"coordinator's CPU time in {SECONDS} s: {alone:.2f} s without watchers, {watched:.2f} s with {WATCHERS}")
-            print(f"{WATCHERS} watchers take {100 * (watched - alone) / SECONDS:.2f} % of a core, {heard[0]} bytes")
+            print(f"CPU time of the coordinator in {SECONDS} s: {alone:.2f} s without clients of the "
+                  f"dashboard, {watched:.2f} s with {WATCHERS}")
+            print(f"{WATCHERS} clients cost {100 * (watched - alone) / SECONDS:.2f} % of a core and received "
+                  f"{heard[0]} bytes")
         finally:
             worker.kill()
             coordinator.kill()

@@ -1,2 +1,2 @@
-//! Programs that measure the result format and the cost of blocks; each program in `src/bin/` answers one
+//! Programs that measure the result format and the cost of blocks. Each program in `src/bin/` answers one
 //! question.

@@ -1,7 +1,22 @@
-//! The `sightline` command: reads the arguments, runs the subcommand and turns its outcome into an exit code.
+//! The `sightline` command: parses the arguments, runs the subcommand, and converts its outcome into an exit
+//! code.
 //!
-//! Results go to stdout, everything else to stderr. A file of this crate has one subcommand or a few related
-//! ones. Programs that want values instead of text use the library [`sightline`].
+//! Programs that want values instead of text use the library [`sightline`].
+//!
+//! # Modules
+//!
+//! A folder has the subcommands of one heading of `sightline --help`, and a file has one subcommand or a few
+//! related ones.
+//!
+//! - `args`: the arguments, as clap reads them. The options of a job come from the library (feature `clap`).
+//! - `bake`, `scenes`, `results`, `checks`, `queries`, `jobs`, `farm`, `program`: the subcommands.
+//! - `terminal`: progress, stdout and stderr, signals, and exit codes.
+//!
+//! # Invariants
+//!
+//! - Results go to stdout, and everything else goes to stderr.
+//! - Each kind of error of the library has one exit code (`docs/interfaces.md`).
+//! - Output files are written through `crates/files`.
 
 #![allow(
     rustdoc::broken_intra_doc_links,
@@ -40,7 +55,7 @@ pub fn command() -> ExitCode {
         // The hook has printed the message.
         if Exhausted::in_panic(&*panic).is_none() {
             terminal::stderr::say(
-                "error: a fault of the program ended this command; report the message above",
+                "error: an internal fault ended this command; report the message above",
             );
         }
         ExitCode::from(INTERNAL)
@@ -82,14 +97,15 @@ fn run_arguments() -> ExitCode {
     }
 }
 
-/// Sets a run-time directory if there is none, because Mesa's Vulkan drivers would complain on stderr.
+/// Sets a run-time directory if none is set, because Mesa's Vulkan drivers would otherwise print warnings to
+/// stderr.
 #[allow(
     unsafe_code,
     reason = "set_var is unsafe where threads may read the environment; here there are none yet"
 )]
 fn quiet_vulkan() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: this is the first thing the program does; no other thread exists.
+        // SAFETY: this call precedes all other code of the program, so no other thread exists.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
 }
@@ -109,7 +125,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         Command::Info(a) => results::info::run(&a, json),
         Command::Dump(a) => results::dump::run(&a),
         Command::Query(a) => results::query::run(&a, json),
-        Command::Look(a) => results::look::run(&a),
+        Command::Look(a) => results::look_points::run(&a),
         Command::View(a) => results::view::run(&a, json),
         Command::Report(a) => results::report::run(&a, json),
         Command::Diff(a) => results::diff::run(&a, json),

@@ -1,24 +1,24 @@
-//! The coordinator's clock: the system's, or one that a test moves by hand.
+//! Clocks of the coordinator: the system's clocks, and a clock that a test moves by hand.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// A point in time on both of the clocks that the coordinator uses.
+/// A point in time on the monotonic clock and on the wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moment {
     /// Monotonic time, for leases and waits.
     pub at: Instant,
-    /// Milliseconds since 1970, for records that people read and for time budgets.
+    /// The wall clock in milliseconds since 1970, for human-readable records and for time budgets.
     pub unix_ms: u64,
 }
 
 /// A source of time.
 pub trait Clock: Send + Sync {
-    /// The current time.
+    /// Returns the current time.
     fn now(&self) -> Moment;
 }
 
-/// The system's clocks.
+/// The clocks of the operating system.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SystemClock;
 
@@ -34,19 +34,19 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that stands still until [`ManualClock::advance`] moves it. For tests.
+/// A clock for tests that only [`ManualClock::advance`] and [`ManualClock::step`] move.
 #[derive(Debug)]
 pub struct ManualClock(Mutex<Moment>);
 
 impl Default for ManualClock {
-    /// A clock that begins at the system's current time.
+    /// Creates a clock that starts at the system's current time.
     fn default() -> Self {
         Self(Mutex::new(SystemClock.now()))
     }
 }
 
 impl ManualClock {
-    /// Moves the clock forward.
+    /// Moves both clocks forward by `by`.
     pub fn advance(&self, by: Duration) {
         let mut now = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         *now = Moment {
@@ -57,7 +57,7 @@ impl ManualClock {
 }
 
 impl ManualClock {
-    /// Steps the wall clock by `by_ms`, forward or back. The monotonic clock does not step.
+    /// Steps the wall clock by `by_ms` milliseconds, forward or back. The monotonic clock does not step.
     pub fn step(&self, by_ms: i64) {
         let mut now = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         now.unix_ms = now.unix_ms.saturating_add_signed(by_ms);

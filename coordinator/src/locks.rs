@@ -6,17 +6,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// The rank of a lock. A thread that holds a lock acquires only locks of higher rank.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Rank {
-    /// The usage of a user, while the coordinator adds to it.
+    /// The lock of a user's usage, for the time in which the coordinator adds to the usage.
     Quota,
-    /// Jobs that wait for a missing scene or missing receivers.
+    /// The lock of the jobs that wait for a missing scene or missing receivers.
     Suspension,
-    /// The records of jobs.
+    /// The lock of the records of jobs.
     Jobs,
-    /// The outputs of tiles.
+    /// The lock of the outputs of tiles.
     Outputs,
-    /// The scheduler. No call of the store runs under it.
+    /// The lock of the scheduler. A thread that holds it must not call the store.
     Scheduler,
-    /// The watchers of jobs.
+    /// The lock of the watchers of jobs.
     Watchers,
 }
 
@@ -26,7 +26,7 @@ thread_local! {
     static HELD: std::cell::RefCell<Vec<Rank>> = const { std::cell::RefCell::new(Vec::new()) };
 }
 
-/// A mark that this thread holds a lock of a rank.
+/// A marker that this thread holds a lock of a rank, for the checks of debug builds.
 #[derive(Debug)]
 pub(crate) struct LockMark {
     #[cfg(debug_assertions)]
@@ -34,7 +34,7 @@ pub(crate) struct LockMark {
 }
 
 impl LockMark {
-    /// Marks a lock that this thread is about to take.
+    /// Registers a lock that this thread is about to acquire.
     ///
     /// # Panics
     /// In debug builds, if this thread holds a lock of the same or a higher rank.
@@ -70,7 +70,7 @@ impl Drop for LockMark {
     }
 }
 
-/// Checks, in debug builds, that this thread may call the store.
+/// Checks, in debug builds, that this thread does not hold the lock of the scheduler.
 pub(crate) fn check_store_call() {
     #[cfg(debug_assertions)]
     HELD.with_borrow(|held| {
@@ -81,7 +81,7 @@ pub(crate) fn check_store_call() {
     });
 }
 
-/// A guard of a lock with its mark.
+/// A guard of a lock with its rank marker.
 #[derive(Debug)]
 pub(crate) struct Ranked<G> {
     guard: G,
@@ -102,15 +102,16 @@ impl<G: DerefMut> DerefMut for Ranked<G> {
     }
 }
 
-/// Takes a lock of a rank. The state behind a lock of the coordinator is derived from the store or is
-/// consistent after each statement, so a lock that a panic has poisoned is taken as well.
+/// Acquires a lock of a rank, also if a panic has poisoned the lock. The state behind a lock of the
+/// coordinator is derived from the store or is consistent after each statement, so a poisoned lock is safe to
+/// use.
 pub(crate) fn lock<T>(rank: Rank, mutex: &Mutex<T>) -> Ranked<MutexGuard<'_, T>> {
     ranked(rank, || {
         mutex.lock().unwrap_or_else(PoisonError::into_inner)
     })
 }
 
-/// Takes a lock of a rank with a function.
+/// Acquires a lock of a rank with the function `take`.
 pub(crate) fn ranked<G>(rank: Rank, take: impl FnOnce() -> G) -> Ranked<G> {
     let mark = LockMark::mark(rank);
     Ranked {

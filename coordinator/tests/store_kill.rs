@@ -1,10 +1,10 @@
-//! Kills a process that writes to the store, again and again, at moments drawn from a seed: everything it had
-//! been told was done must be there afterwards, and nothing half done.
+//! Kills a process that writes to the store at random moments, again and again. After each kill, the store
+//! must contain every acknowledged change completely, and no partial change.
 //!
-//! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up
-//! to the disk's honesty about syncing, which no test here can show.
+//! The test runs itself as the killed process. It kills the process, not the machine: the effect of a power
+//! failure depends on the disk's syncs, which no test here can verify.
 
-// The lint's exception for tests does not cover helper functions of a test.
+// The lint's exception for tests does not cover the helper functions of a test.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -44,14 +44,15 @@ fn job(number: u64) -> NewJob {
 }
 
 fn say(what: &str, number: u64) {
-    // One write, so that lines of two threads do not mix.
+    // A single write prevents the lines of two threads from mixing.
     let mut out = std::io::stdout().lock();
     out.write_all(format!("\n{what} {number}\n").as_bytes())
         .unwrap();
     out.flush().unwrap();
 }
 
-/// What the killed process does: commits tiles in one thread and submits jobs in another, until it is killed.
+/// Commits tiles in one thread and submits jobs in another, until the process is killed. The killed process
+/// runs this test.
 #[test]
 fn writes_until_killed() {
     let Ok(directory) = std::env::var(DIRECTORY) else {
@@ -109,7 +110,7 @@ fn writes_until_killed() {
     });
 }
 
-/// Everything of interest, for comparing the view with one made from the journal alone.
+/// Returns the state of the store, for a comparison with a view that is rebuilt from the journal.
 fn state(store: &SledStore) -> (u64, Vec<JobRecord>, Vec<TileRecord>) {
     let jobs = store.jobs().unwrap();
     let tiles = jobs
@@ -166,7 +167,7 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         let store = SledStore::open(directory.path()).unwrap();
         let found = state(&store);
         let (_, jobs, tiles) = &found;
-        // Each thread works in order, so the last acknowledged number stands for all before it.
+        // Each thread works in order, so the last acknowledged number implies all earlier ones.
         for (what, &last) in &acknowledged {
             let there = match what.as_str() {
                 "tile" => tiles
@@ -210,7 +211,7 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
             }
         }
         drop(store);
-        // The view is what the journal alone gives.
+        // The stored view equals the view that the journal produces.
         let other = tempfile::tempdir().unwrap();
         for name in ["journal", "journal.mark"] {
             std::fs::copy(directory.path().join(name), other.path().join(name)).unwrap();

@@ -1,9 +1,9 @@
-//! The order of system calls that make a journal frame and a blob durable, as `strace` records them.
+//! The order of system calls that make a journal frame and a blob durable, as recorded by `strace`.
 //!
-//! The unit tests use a simulated disk, so they cannot notice a real disk that syncs nothing. The test runs
-//! itself under `strace` as the process that writes.
+//! The unit tests use a simulated disk, so they cannot detect a missing sync of a real disk. The test runs
+//! itself under `strace` as the writing process.
 
-// The lint's exception for tests does not cover helper functions of a test.
+// The lint's exception for tests does not cover the helper functions of a test.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::path::Path;
@@ -37,7 +37,7 @@ fn writer_syncs_one_epoch_and_one_blob() {
     mark("stream ends");
 }
 
-/// Returns the calls between two marks.
+/// Returns the calls between the two marks of a section.
 fn section<'a>(calls: &[&'a str], name: &str) -> Vec<&'a str> {
     let at = |mark: String| {
         let found = calls
@@ -105,7 +105,7 @@ fn acknowledged_data_is_synced_in_order() {
         }
     }
     let log = std::fs::read_to_string(&log).unwrap();
-    // Where another thread interrupts a call, a separate line records its end; the beginning counts.
+    // If another thread interrupts a call, a separate line records the call's end. Only the start counts.
     let calls: Vec<&str> = log
         .lines()
         .filter(|line| !line.contains("resumed>"))
@@ -136,7 +136,7 @@ fn acknowledged_data_is_synced_in_order() {
             ],
         );
     }
-    // The watermark is made durable when no command waits, at the latest at the end.
+    // The watermark becomes durable when no command waits, and at the latest at the end.
     assert_order(
         &calls,
         &[

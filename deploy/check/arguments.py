@@ -1,4 +1,4 @@
-"""Checks that the program knows every argument that compose files, chart and units give it.
+"""Checks that the program accepts all flags in the compose files, the chart and the units.
 
     python arguments.py PROGRAM DEPLOY_FOLDER
 """
@@ -14,12 +14,12 @@ import yaml
 
 import charts
 
-# The commands of the program that are given arguments here.
+# The commands of the program that these files use.
 COMMANDS = {"coordinator", "worker", "health"}
 
 
 def uses(words):
-    """The command and the flags of a line that runs the program; none for other lines."""
+    """Yields (command, flag) for each flag of a line that runs the program."""
     words = [str(word) for word in words]
     command = next((word for word in words if word in COMMANDS), None)
     if command:
@@ -29,13 +29,15 @@ def uses(words):
 
 
 def of_compose(path):
+    """Yields the flags in a compose file."""
     for service in yaml.safe_load(path.read_text())["services"].values():
         for line in (service.get("command"), service.get("healthcheck", {}).get("test")):
-            # A shell's line is one word of the list.
+            # The command line of a shell is a single word of the list, so split each word.
             yield from uses(word for text in line or [] for word in str(text).split())
 
 
 def of_chart(folder):
+    """Yields the flags in the chart, rendered with each file of values in ci/."""
     with helm.Chart.load(folder) as chart:
         for path in sorted((folder / "ci").glob("*.yaml")):
             for document in charts.render(chart, yaml.safe_load(path.read_text()) or {}):
@@ -45,6 +47,7 @@ def of_chart(folder):
 
 
 def of_unit(path):
+    """Yields the flags in a unit of systemd."""
     text = path.read_text().replace("\\\n", " ")
     for line in re.findall(r"^ExecStart=(.*)$", text, re.MULTILINE):
         yield from uses(shlex.split(line))
@@ -59,7 +62,7 @@ def main(program, folder):
     for path in sorted((folder / "systemd").glob("*.service")):
         found[path.name] = set(of_unit(path))
     if empty := [name for name, flags in found.items() if not flags]:
-        sys.exit(f"arguments: found none in {empty}")
+        sys.exit(f"arguments: found no flags in {empty}")
     known = {}
     for command in COMMANDS:
         told = subprocess.run([program, command, "--help"], capture_output=True, text=True, check=True).stdout
@@ -69,8 +72,8 @@ def main(program, folder):
         for name, flags in found.items()
     }
     if unknown := {name: flags for name, flags in unknown.items() if flags}:
-        sys.exit(f"arguments: {program} does not know these: {unknown}")
-    print(f"arguments: the program knows all {len(set().union(*found.values()))}")
+        sys.exit(f"arguments: {program} does not accept these flags: {unknown}")
+    print(f"arguments: the program accepts all {len(set().union(*found.values()))} flags")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""Renders the chart with Helm's own library and checks what comes out, without a cluster.
-
-Every set of values in ci/ is rendered. What is rendered must be valid by the schemas of the oldest and the newest
-Kubernetes, meet the Pod Security Standard `restricted`, and fit together: selectors, ports, volumes, policies.
+"""Renders the chart with Helm's library and checks the resources, without a cluster.
 
     python charts.py CHART
+
+The script renders the chart with each file of values in ci/. The schemas of the oldest and the newest version
+of Kubernetes must accept the resources, and the pods must meet the Pod Security Standard `restricted`.
+Selectors, ports, volumes and policies of different resources must agree.
 """
 
 import json
@@ -16,10 +17,10 @@ import jsonschema
 import kubernetes_validate
 import yaml
 
-# The chart's kubeVersion, and the newest one that kubernetes-validate has schemas of.
+# The chart's kubeVersion, and the newest version with schemas in kubernetes-validate.
 VERSIONS = ("1.27", "1.37")
 HERE = pathlib.Path(__file__).parent
-# Values that must be refused, and what the refusal must name.
+# Values that the chart must reject, and a text that the error must contain.
 REFUSED = [
     ({"store": {"kind": "mysql"}}, "kind"),
     ({"store": {"postgres": {"url": "postgres://me:secret@db/sightline"}}}, "url"),
@@ -36,16 +37,17 @@ REFUSED = [
 
 
 class Wrong(Exception):
-    """What does not hold."""
+    """The error of a check that fails."""
 
 
 def must(holds, what):
+    """Raises Wrong with a message if a condition is false."""
     if not holds:
         raise Wrong(what)
 
 
 def closed(schema):
-    """The schema of a resource of others, refusing fields that it does not name."""
+    """Returns a copy of a schema that rejects fields without a definition in the schema."""
     if isinstance(schema, list):
         return [closed(s) for s in schema]
     if not isinstance(schema, dict):
@@ -58,7 +60,7 @@ def closed(schema):
 
 
 def of_others():
-    """The schemas of crds/, by group and kind."""
+    """Yields (kind, group, version) and the schema of each file in crds/."""
     for path in sorted((HERE / "crds").glob("*.json")):
         kind, group, version = path.stem.split("-")
         schema = json.loads(path.read_text())
@@ -70,6 +72,7 @@ OTHERS = dict(of_others())
 
 
 def check_schema(document):
+    """Validates a resource with its schemas."""
     group, _, version = document["apiVersion"].rpartition("/")
     schema = OTHERS.get((document["kind"].lower(), group.split(".")[0], version))
     if schema is not None:
@@ -80,95 +83,105 @@ def check_schema(document):
 
 
 def check_pod(name, spec, labels):
-    """The Pod Security Standard `restricted`, and that volumes and ports which are named exist."""
+    """Checks that a pod meets the Pod Security Standard `restricted` and that its volumes and ports exist."""
     pod = spec["securityContext"]
-    must(pod["runAsNonRoot"] is True and pod["runAsUser"] > 0, f"{name} may run as root")
-    must(pod["seccompProfile"]["type"] == "RuntimeDefault", f"{name} has no seccomp profile")
-    must(spec["automountServiceAccountToken"] is False, f"{name} has a token of the cluster")
+    must(pod["runAsNonRoot"] is True and pod["runAsUser"] > 0, f"{name}: the pod may run as root")
+    must(pod["seccompProfile"]["type"] == "RuntimeDefault", f"{name}: the pod has no seccomp profile")
+    must(spec["automountServiceAccountToken"] is False, f"{name}: the pod mounts a token of the cluster")
     for field in ("hostNetwork", "hostPID", "hostIPC"):
-        must(not spec.get(field), f"{name} uses {field}")
+        must(not spec.get(field), f"{name}: the pod uses {field}")
     volumes = {v["name"]: v for v in spec.get("volumes", [])}
     for volume in volumes.values():
-        must(set(volume) - {"name"} <= {"emptyDir", "secret", "configMap"}, f"{name}: volume {volume}")
+        must(set(volume) - {"name"} <= {"emptyDir", "secret", "configMap"},
+             f"{name}: the pod has a volume of another type: {volume}")
     for container in spec["containers"]:
         security = container["securityContext"]
-        must(security["allowPrivilegeEscalation"] is False, f"{name} may gain privileges")
-        must(security["readOnlyRootFilesystem"] is True, f"{name} can write its root file system")
-        must(security["capabilities"] == {"drop": ["ALL"]}, f"{name} has capabilities")
-        must(container["resources"]["limits"].get("memory"), f"{name} has no limit of memory")
+        must(security["allowPrivilegeEscalation"] is False, f"{name}: the container may gain privileges")
+        must(security["readOnlyRootFilesystem"] is True, f"{name}: the root file system is writable")
+        must(security["capabilities"] == {"drop": ["ALL"]}, f"{name}: the container has capabilities")
+        must(container["resources"]["limits"].get("memory"), f"{name}: the container has no memory limit")
         mounts = {m["name"] for m in container.get("volumeMounts", [])}
-        must(mounts <= set(volumes) | claims(labels), f"{name}: {mounts} are not all volumes")
-        must(set(volumes) <= mounts, f"{name}: {set(volumes)} are not all mounted")
+        must(mounts <= set(volumes) | claims(labels), f"{name}: the pod has no volumes for some of {mounts}")
+        must(set(volumes) <= mounts, f"{name}: the container does not mount all of {set(volumes)}")
         ports = {p["name"]: p["containerPort"] for p in container["ports"]}
         for probe in ("startupProbe", "livenessProbe", "readinessProbe"):
             asked = container[probe]
             port = asked["httpGet"]["port"] if "httpGet" in asked else asked["grpc"]["port"]
-            must(port in ports or port in ports.values(), f"{name}: {probe} asks port {port}")
+            must(port in ports or port in ports.values(), f"{name}: {probe} uses the unknown port {port}")
         known = {e["name"] for e in container.get("env", [])}
         for text in container["args"]:
-            must(set(re.findall(r"\$\((\w+)\)", text)) <= known, f"{name}: {text} names no variable")
+            must(set(re.findall(r"\$\((\w+)\)", text)) <= known, f"{name}: unknown variable in {text}")
 
 
 def claims(workload):
+    """Returns the names of the volume claims of a workload."""
     return {c["metadata"]["name"] for c in workload["spec"].get("volumeClaimTemplates", [])}
 
 
 def matches(selector, labels):
+    """Returns true if a selector matches labels."""
     return selector.items() <= labels.items()
 
 
 def check_together(documents):
+    """Checks that the references between resources are correct."""
     kinds = {}
     for document in documents:
         kinds.setdefault(document["kind"], []).append(document)
     workloads = kinds.get("Deployment", []) + kinds.get("StatefulSet", [])
-    must(workloads, "there are no pods")
+    must(workloads, "the chart renders no pods")
 
     def selected(selector):
+        """Returns the workloads whose pods a selector matches."""
         return [w for w in workloads if matches(selector, w["spec"]["template"]["metadata"]["labels"])]
 
     for workload in workloads:
         name, template = workload["metadata"]["name"], workload["spec"]["template"]
         check_pod(name, template["spec"], workload)
         own = selected(workload["spec"]["selector"]["matchLabels"])
-        must(own == [workload], f"{name} selects other pods than its own")
+        must(own == [workload], f"{name}: the selector does not match exactly the workload's pods")
         service = workload["spec"].get("serviceName")
-        must(not service or service in [s["metadata"]["name"] for s in kinds["Service"]], f"{name}: {service}")
+        must(not service or service in [s["metadata"]["name"] for s in kinds["Service"]],
+             f"{name}: the service {service} does not exist")
     for service in kinds["Service"]:
         name, found = service["metadata"]["name"], selected(service["spec"]["selector"])
-        must(found, f"service {name} selects no pod")
+        must(found, f"service {name}: the selector matches no pod")
         for port, workload in ((p, w) for p in service["spec"]["ports"] for w in found):
             offered = [p["name"] for p in workload["spec"]["template"]["spec"]["containers"][0]["ports"]]
-            must(port["targetPort"] in offered, f"service {name}: no port {port['targetPort']} at a pod")
+            must(port["targetPort"] in offered, f"service {name}: a pod has no port {port['targetPort']}")
     for budget in kinds.get("PodDisruptionBudget", []):
         found = selected(budget["spec"]["selector"]["matchLabels"])
-        must(len(found) == 1, f"budget {budget['metadata']['name']} is for {len(found)} workloads")
+        must(len(found) == 1,
+             f"budget {budget['metadata']['name']}: the selector matches {len(found)} workloads, expected 1")
     policies = kinds.get("NetworkPolicy", [])
     for policy in policies:
-        must(selected(policy["spec"]["podSelector"]["matchLabels"]), f"policy {policy['metadata']['name']}: no pod")
+        must(selected(policy["spec"]["podSelector"]["matchLabels"]),
+             f"policy {policy['metadata']['name']}: the selector matches no pod")
     if policies:
         for workload in workloads:
             labels = workload["spec"]["template"]["metadata"]["labels"]
             at = [p for p in policies if matches(p["spec"]["podSelector"]["matchLabels"], labels)]
-            must(len(at) == 1, f"{workload['metadata']['name']} has {len(at)} network policies")
+            must(len(at) == 1, f"{workload['metadata']['name']} has {len(at)} network policies, expected 1")
     for scaled in kinds.get("ScaledObject", []):
         target = scaled["spec"]["scaleTargetRef"]["name"]
         found = [w for w in kinds["Deployment"] if w["metadata"]["name"] == target]
-        must(len(found) == 1, f"{target} is scaled and is not there")
-        must("replicas" not in found[0]["spec"], f"{target} is scaled and has a fixed number as well")
+        must(len(found) == 1, f"the target {target} of a ScaledObject does not exist")
+        must("replicas" not in found[0]["spec"], f"{target} has a ScaledObject, so it must not set replicas")
     for monitor in kinds.get("ServiceMonitor", []):
         wanted = monitor["spec"]["selector"]["matchLabels"]
         found = [s for s in kinds["Service"] if matches(wanted, s["metadata"]["labels"])]
-        must(len(found) == 1, "the ServiceMonitor is for one service")
+        must(len(found) == 1, f"the ServiceMonitor matches {len(found)} services, expected 1")
         ports = [p["name"] for p in found[0]["spec"]["ports"]]
-        must(all(e["port"] in ports for e in monitor["spec"]["endpoints"]), "a port of the ServiceMonitor")
+        must(all(e["port"] in ports for e in monitor["spec"]["endpoints"]),
+             "the ServiceMonitor uses a port that the service does not have")
 
 
 def leaves(values, path=()):
-    """The paths of all values; entries of `workers` are one."""
+    """Yields the paths of all values. Replaces the names of entries of `workers` by NAME."""
     for key, value in values.items():
         here = path + (("NAME",) if path == ("workers",) else (key,))
-        plain = not isinstance(value, dict) or not value or here[-1] in ("requests", "limits", "resources", "monitoring")
+        plain = not isinstance(value, dict) or not value or here[-1] in ("requests", "limits", "resources",
+                                                                         "monitoring")
         if plain:
             yield ".".join(here)
         else:
@@ -176,32 +189,36 @@ def leaves(values, path=()):
 
 
 def check_table(chart, readme):
-    """README.md explains every value, and no other."""
+    """Checks that the table of README.md contains exactly the values of the chart."""
     told = set(re.findall(r"^\| `([A-Za-z.]+)` \|", readme, re.MULTILINE))
     there = set(leaves(chart.values))
-    must(told == there, f"the table of README.md lacks {there - told}, and has {told - there}, which are no values")
+    must(told == there,
+         f"the table of README.md: add rows for {there - told}, and remove the rows of {told - there}")
 
 
 def check_version(chart):
-    """The chart is of the program beside it."""
+    """Checks that the chart has the version of the program."""
     cargo = (HERE / "../../Cargo.toml").read_text()
     version = re.search(r'^version = "(.+)"', cargo, re.MULTILINE).group(1)
     of_chart = chart.metadata["appVersion"]
-    must(of_chart == version, f"appVersion is {of_chart}, and the program {version}")
+    must(of_chart == version,
+         f"the appVersion of the chart is {of_chart}, and the program has version {version}")
 
 
 def render(chart, values):
+    """Returns the resources that the chart renders, and checks the notes, the names and the namespaces."""
     rendered = chart.render(values, name="farm", namespace="studio", is_install=True)
     documents = []
     for path, text in rendered.items():
         if path.endswith("NOTES.txt"):
-            must("answers at" in text, "NOTES.txt says nothing")
+            must("answers at" in text, "NOTES.txt does not contain the address of the farm")
             continue
         documents += [d for d in yaml.safe_load_all(text) if d]
     names = [(d["kind"], d["metadata"]["name"]) for d in documents]
-    must(len(names) == len(set(names)), f"two of one name: {names}")
+    must(len(names) == len(set(names)), f"two resources have the same kind and name: {names}")
     for document in documents:
-        must(document["metadata"]["namespace"] == "studio", f"{document['metadata']['name']} is in no namespace")
+        must(document["metadata"]["namespace"] == "studio",
+             f"{document['metadata']['name']} does not have the namespace of the release")
     return documents
 
 
@@ -216,7 +233,7 @@ def main(folder):
             try:
                 report = helm.lint(folder, values, strict=True, kube_version=f"v{VERSIONS[0]}.0")
                 bad = [m for m in report["messages"] if m["severity"] > 1] + report["errors"]
-                must(not bad, f"lint: {bad}")
+                must(not bad, f"helm lint: {bad}")
                 documents = render(chart, values)
                 for document in documents:
                     name = f"{document['kind']} {document['metadata']['name']}"
@@ -234,10 +251,12 @@ def main(folder):
             try:
                 chart.render(values, name="farm", namespace="studio")
             except helm.HelmError as e:
-                must(name in str(e), f"{values} is refused for another reason: {e}")
+                must(name in str(e),
+                     f"the chart rejects {values}, but the error does not contain {name}: {e}")
             else:
-                raise Wrong(f"{values} is not refused")
-    print(f"chart: {count} resources are valid for Kubernetes {VERSIONS[0]} and {VERSIONS[1]}; {len(REFUSED)} bad values are refused")
+                raise Wrong(f"the chart accepts the invalid values {values}")
+    print(f"chart: {count} resources are valid for Kubernetes {VERSIONS[0]} and {VERSIONS[1]}; the chart "
+          f"rejects {len(REFUSED)} invalid values")
 
 
 if __name__ == "__main__":

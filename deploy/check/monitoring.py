@@ -1,9 +1,10 @@
-"""Checks the dashboard and the rules against the table of metrics, as far as promtool does not.
+"""Checks the dashboard, the alert rules and the chart against the table of metrics.
 
     python monitoring.py MONITORING_FOLDER TABLE.md
 
-Every metric that the dashboard, the rules and the chart name must have a row in the table, which begins with the name. Panels
-must not lie on each other, and their queries must be what Prometheus can read.
+The table must contain a row for each metric of the dashboard, the rules and the chart. The first cell of a
+row contains the name of a metric. Panels of the dashboard must not overlap, and promtool must accept their
+queries.
 """
 
 import itertools
@@ -17,37 +18,40 @@ import tempfile
 import yaml
 
 HISTOGRAM = re.compile(r"_(bucket|sum|count)$")
-# Variables of Grafana, as it puts them in.
+# The variables of Grafana in queries, with a value.
 VARIABLES = {"$__rate_interval": "1m"}
 
 
 class Wrong(Exception):
-    """What does not hold."""
+    """The error of a check that fails."""
 
 
 def metrics(text):
+    """Returns the metrics that a text names."""
     return {HISTOGRAM.sub("", name) for name in re.findall(r"\bsightline_[a-z_]+\b", text)}
 
 
 def queries(dashboard):
+    """Yields the title of the panel and the text of each query of the dashboard."""
     for panel in dashboard["panels"]:
         for target in panel.get("targets", []):
             yield panel["title"], target["expr"]
 
 
 def check_panels(dashboard):
+    """Checks that panels have different ids and do not overlap."""
     ids = [p["id"] for p in dashboard["panels"]]
     if len(ids) != len(set(ids)):
-        raise Wrong("two panels of the dashboard have one id")
+        raise Wrong("two panels of the dashboard have the same id")
     for a, b in itertools.combinations(dashboard["panels"], 2):
         p, q = a["gridPos"], b["gridPos"]
         apart = any(p[x] + p[w] <= q[x] or q[x] + q[w] <= p[x] for x, w in (("x", "w"), ("y", "h")))
         if not apart or p["x"] + p["w"] > 24:
-            raise Wrong(f"the panels '{a['title']}' and '{b['title']}' lie on each other")
+            raise Wrong(f"the panels '{a['title']}' and '{b['title']}' overlap, or one is too wide")
 
 
 def check_queries(dashboard):
-    """Lets promtool read each query, as the expression of a rule."""
+    """Checks each query with promtool, as the expression of a rule. Returns the number of queries."""
     rules = []
     for number, (_, query) in enumerate(queries(dashboard)):
         for variable, value in VARIABLES.items():
@@ -58,7 +62,7 @@ def check_queries(dashboard):
         file.flush()
         done = subprocess.run(["promtool", "check", "rules", file.name], capture_output=True, text=True)
         if done.returncode != 0:
-            raise Wrong(f"a query of the dashboard cannot be read: {done.stdout}{done.stderr}")
+            raise Wrong(f"promtool rejects a query of the dashboard: {done.stdout}{done.stderr}")
     return len(rules)
 
 
@@ -72,8 +76,9 @@ def main(folder, table):
     rules = metrics((folder / "rules.yaml").read_text())
     chart = metrics((folder.parent / "helm/sightline/templates/workers.yaml").read_text())
     if unknown := (shown | rules | chart) - told:
-        raise Wrong(f"{table} has no row for {sorted(unknown)}")
-    print(f"monitoring: {count} queries of the dashboard, {len(shown)} metrics of it and {len(rules)} of the rules")
+        raise Wrong(f"add rows to {table} for the metrics {sorted(unknown)}")
+    print(f"monitoring: {count} queries with {len(shown)} metrics in the dashboard, and {len(rules)} metrics "
+          f"in the rules")
 
 
 if __name__ == "__main__":

@@ -1,24 +1,28 @@
 #!/bin/sh
-# Starts PostgreSQL on $PGDATA. The first start makes the cluster, with one database and one user, both `sightline`,
-# whose password is the text of $PASSWORD_FILE.
+# Starts PostgreSQL with the data folder $PGDATA. The first start creates the data folder, the database
+# `sightline` and the user `sightline`. $PASSWORD_FILE contains the password of the user.
 #
-# Over the network only that user is let in, with the password; the superuser is let in through the socket alone, which
-# nobody outside this container reaches.
+# Over the network, only this user can connect, with the password. The superuser can connect only through the
+# socket, which is not accessible outside of the container.
 set -eu
 
 bin=
 for folder in /usr/lib/postgresql/*/bin; do
   [ -x "$folder/postgres" ] && bin=$folder
 done
-[ -n "$bin" ] || { echo "postgres: there is no PostgreSQL in /usr/lib/postgresql" >&2; exit 1; }
+[ -n "$bin" ] || { echo "postgres: PostgreSQL is not installed in /usr/lib/postgresql" >&2; exit 1; }
 
 if [ ! -s "$PGDATA/PG_VERSION" ]; then
   password=$(cat "$PASSWORD_FILE")
-  # It goes into a statement below.
+  # The password becomes part of an SQL statement, so it must not contain special characters.
   case $password in
-    '' | *[!0-9A-Za-z_-]*) echo "postgres: the password in $PASSWORD_FILE must be letters, digits, _ and - alone" >&2; exit 1 ;;
+    '' | *[!0-9A-Za-z_-]*)
+      echo "postgres: the password in $PASSWORD_FILE must contain only letters, digits, _ and -" >&2
+      exit 1
+      ;;
   esac
-  # Made beside and renamed, so that a start that was interrupted leaves no half of a cluster.
+  # The script creates the data folder under another name and renames it, so that an interrupted start does
+  # not leave an incomplete data folder.
   rm -rf "$PGDATA.new"
   "$bin/initdb" --pgdata="$PGDATA.new" --username=postgres --encoding=UTF8 --locale=C --data-checksums \
     --auth-local=trust --auth-host=scram-sha-256 >/dev/null

@@ -2,31 +2,32 @@ class_name SightlineCuller
 extends Node
 ## Hides the nodes of a level that are not visible from the cell of the camera.
 ##
-## Reads what `sightline export level.pvs --format sidecar -o level.json` wrote. Godot 4's glTF
-## importer keeps the names of nodes, so the names in the file must be unique; where they are not,
-## Godot renames nodes, and a warning says so. Nodes that are in no set at all, or not in the file,
-## are left as they are. A node keeps its children: only its own geometry is hidden.
+## The script reads a sidecar: `sightline export level.pvs --format sidecar -o level.json`.
+## Godot 4's glTF importer keeps the names of nodes, so the names in the glTF file must be unique.
+## If two nodes have the same name, Godot renames one of them, and the script prints a warning.
+## The script does not change nodes that are in no set or not in the sidecar. It hides only the
+## geometry of a node, and not the node's children.
 
 const UNKNOWN := -1
 const NONE := -2
 
-## The sidecar.
+## The path of the sidecar.
 @export_file("*.json") var sidecar := "res://level.json"
-## The root of the level, as the importer made it.
+## The root node of the level, from the glTF importer.
 @export var level: Node3D
-## The eye; without one, the viewport's camera.
+## The camera. Default: the camera of the viewport.
 @export var viewer: Camera3D
 
-## The cell of the last frame; negative where nothing is known and everything is drawn.
+## The cell of the last frame. If the cell is negative, the script shows all nodes.
 var cell := NONE
 
-## The corners of each cell's box, and the greatest of the view box.
+## The minimum and maximum corner of each cell, and the maximum corner of the view box.
 var _least: Array[Vector3] = []
 var _greatest: Array[Vector3] = []
 var _end := Vector3.ZERO
-## For each cell the names of the nodes that are visible from it, as keys.
+## The names of the nodes that are visible from each cell, as keys.
 var _names: Array[Dictionary] = []
-## The geometry of each name, and the layers it has when it is shown.
+## The geometry nodes of each name, and the layers of each geometry node while it is shown.
 var _nodes: Dictionary = {}
 var _layers: Dictionary = {}
 
@@ -35,7 +36,7 @@ func _ready() -> void:
 	var text := FileAccess.get_file_as_string(sidecar)
 	var read: Variant = JSON.parse_string(text)
 	if not read is Dictionary or read.get("format") != "sightline.sidecar":
-		push_error("%s is no sidecar of sightline export; nothing is culled" % sidecar)
+		push_error("%s is not a sidecar of sightline export; culling is off" % sidecar)
 		set_process(false)
 		return
 	_read_cells(read)
@@ -48,7 +49,7 @@ func _process(_delta: float) -> void:
 		look_from(level.to_local(eye.global_position))
 
 
-## Shows what is visible from a point in the level's space, and hides the rest.
+## Shows the nodes that are visible from a point in the level's space, and hides the other nodes.
 func look_from(point: Vector3) -> void:
 	var now := cell_of(point)
 	if now == cell:
@@ -60,7 +61,7 @@ func look_from(point: Vector3) -> void:
 			node.layers = _layers[node] if shown else 0
 
 
-## The cell that holds a point, or -1.
+## Returns the cell that contains a point, or -1.
 func cell_of(point: Vector3) -> int:
 	if cell >= 0 and _holds(cell, point):
 		return cell
@@ -70,7 +71,8 @@ func cell_of(point: Vector3) -> int:
 	return UNKNOWN
 
 
-## A cell holds its least faces; its greatest ones too where they are those of the view box.
+## Returns true if a cell contains a point. A cell contains its minimum faces, and those of its
+## maximum faces that are faces of the view box.
 func _holds(number: int, point: Vector3) -> bool:
 	for axis in 3:
 		var end := _greatest[number][axis]
@@ -86,14 +88,14 @@ func _read_cells(read: Dictionary) -> void:
 	var names: Array[String] = []
 	var node_of: Dictionary = {}
 	for object: Dictionary in read["objects"]:
-		# Objects are named "node/mesh#primitive".
+		# The name of an object is "node/mesh#primitive".
 		var node: String = object["name"].get_slice("/", 0)
 		if object.has("instance"):
 			node = node.rsplit("[", true, 1)[0]
 		names.append(node)
 		if node_of.get(node, object.get("node")) != object.get("node"):
 			push_warning(
-				"two nodes of the glTF file are named %s; give them names of their own" % node
+				"two nodes of the glTF file have the name %s; rename one of them" % node
 			)
 		node_of[node] = object.get("node")
 	for of: Dictionary in read["cells"]:
@@ -118,4 +120,4 @@ func _match_nodes() -> void:
 			_layers[node] = (node as VisualInstance3D).layers
 			matched += 1
 	if matched == 0:
-		push_warning("no node below %s has the name of one that was baked" % level.name)
+		push_warning("no node below %s has the name of a node in the sidecar" % level.name)

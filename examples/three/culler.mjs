@@ -3,18 +3,18 @@
 //   const culler = new SightlineCuller(Pvs.parse(bytes), gltf.scene);
 //   culler.update(camera.position);            // each frame, before renderer.render
 //
-// The scene is what GLTFLoader makes of the file that was baked. Its meshes are matched with the result's objects in
-// their order, which GLTFLoader keeps (nodes depth first, primitives in order), and by their numbers of triangles.
-// Meshes are hidden by their layers: `visible = false` would hide their children as well. What three.js does with
-// layers holds for shadows too: a hidden mesh casts none.
+// GLTFLoader must load the scene from the file that was baked. The class assigns meshes to objects of the
+// result by their order, which GLTFLoader keeps (nodes depth first, primitives in order), and checks the
+// numbers of triangles. The class hides meshes by their layers, because `visible = false` would also hide
+// their children. A hidden mesh casts no shadow.
 
-// The objects with triangles that GLTFLoader made, in the order of the result.
+// Returns the meshes, points and lines of a scene, in the order of the result's objects.
 function drawables(root) {
   const all = [];
   root.traverse((object) => {
     if (object.isInstancedMesh) {
-      throw new Error('instances are one draw call; this example does not split them: bake without '
-        + 'EXT_mesh_gpu_instancing, or use the lists of instances in SIGHTLINE_visibility');
+      throw new Error('this example cannot hide single instances of EXT_mesh_gpu_instancing; bake a file '
+        + 'without this extension, or use the lists of instances in SIGHTLINE_visibility');
     }
     if (object.isMesh || object.isPoints || object.isLine) all.push(object);
   });
@@ -34,19 +34,19 @@ export class SightlineCuller {
     const fits = all.length === pvs.objects.length
       && all.every((mesh, k) => trianglesOf(mesh) === pvs.objects[k].count);
     if (!fits) {
-      throw new Error(`the scene's ${all.length} meshes are not the ${pvs.objects.length} objects of the result; `
-        + 'load the file that was baked, or bake this one');
+      throw new Error(`the ${all.length} meshes of the scene do not match the ${pvs.objects.length} objects `
+        + 'of the result; load the file that was baked, or bake this file');
     }
-    // The object of each triangle, where sets are of triangles.
+    // The object of each triangle, for results whose sets contain triangles or clusters.
     this.#objectOf = new Uint32Array(pvs.triangles);
     pvs.objects.forEach(({ first, count }, k) => this.#objectOf.fill(k, first, first + count));
-    // What is in no set at all stays as it is: it may move, or be points or lines.
+    // Meshes in no set stay unchanged, because they may move, or consist of points or lines.
     const known = new Set();
     for (let cell = 0; cell < pvs.cells; cell++) for (const k of this.#objectsOf(cell)) known.add(k);
     this.#meshes = all.map((mesh, k) => ({ mesh, mask: mesh.layers.mask, known: known.has(k) }));
   }
 
-  // The objects that are visible from a cell.
+  // Returns the objects that are visible from a cell.
   #objectsOf(cell) {
     const items = this.#pvs.visible(cell);
     if (this.#pvs.items.kind === 'objects') return new Set(items);
@@ -55,8 +55,8 @@ export class SightlineCuller {
     return objects;
   }
 
-  // Hides what is not visible from the point's cell, and returns the cell; -1 where nothing is known, so that
-  // everything is drawn.
+  // Hides the meshes that are not visible from the cell of a point, and returns the cell. Returns -1 and
+  // shows all meshes if the point is outside the view box or its cell contains no viewpoint.
   update({ x, y, z }) {
     let cell = this.enabled ? this.#pvs.cellOf(x, y, z) : -1;
     if (cell >= 0 && !this.#pvs.isReached(cell)) cell = -1;

@@ -1,4 +1,5 @@
-// Walks through a scene in three.js and counts draw calls with culling and without: ?scene=level.glb&pvs=level.pvs
+// A walk through a scene in three.js, with the numbers of draw calls with and without culling:
+// ?scene=level.glb&pvs=level.pvs
 
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
@@ -15,7 +16,7 @@ const scene = new THREE.Scene();
 scene.background = new THREE.Color(0x223344);
 scene.add(new THREE.HemisphereLight(0xffffff, 0x443322, 3));
 
-// Draws once, and returns the number of draw calls.
+// Draws a frame, and returns the cell of the camera and the number of draw calls.
 function draw(culler, culled) {
   culler.enabled = culled;
   const cell = culler.update(camera.position);
@@ -35,14 +36,14 @@ async function start() {
   scene.add(gltf.scene);
   gltf.scene.updateMatrixWorld(true);
   const culler = new SightlineCuller(pvs, gltf.scene);
-  // Begin in the middle of a cell with viewpoints.
+  // The walk begins in the centre of the first cell with viewpoints.
   const first = [...Array(pvs.cells).keys()].find((cell) => pvs.isReached(cell)) ?? 0;
   const box = pvs.boxes.subarray(6 * first, 6 * first + 6);
   camera.position.set((box[0] + box[3]) / 2, (box[1] + box[4]) / 2, (box[2] + box[5]) / 2);
   return { THREE, renderer, scene, camera, pvs, culler, draw: (culled) => draw(culler, culled) };
 }
 
-// W, A, S, D, E and Q move; dragging turns.
+// The keys W, A, S, D, E and Q move the camera. Dragging the pointer rotates the camera.
 const keys = new Set();
 addEventListener('keydown', (event) => keys.add(event.code));
 addEventListener('keyup', (event) => keys.delete(event.code));
@@ -57,7 +58,7 @@ function move(seconds) {
   camera.position.add(step.applyEuler(camera.rotation));
 }
 
-// What other scripts may await; the tests do.
+// A promise of the loaded scene, for other scripts such as the tests.
 globalThis.example = start();
 const example = await globalThis.example.catch((error) => { status.textContent = error.message; });
 let last = performance.now();
@@ -69,10 +70,10 @@ if (example && !page.has('still')) {
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    // Twice a frame to compare; a game draws once.
+    // The page draws each frame twice to compare the draw calls. A game draws a frame once.
     const other = example.draw(!toggle.checked), shown = example.draw(toggle.checked);
     const [on, off] = toggle.checked ? [shown, other] : [other, shown];
     status.textContent = `${on.calls} draw calls with culling, ${off.calls} without; `
-      + (on.cell < 0 ? 'no cell: everything is drawn' : `cell ${on.cell}`);
+      + (on.cell < 0 ? 'no cell: all meshes are drawn' : `cell ${on.cell}`);
   });
 }

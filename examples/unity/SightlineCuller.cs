@@ -1,36 +1,38 @@
 // Hides the renderers of a level that are not visible from the cell of the camera.
 //
-// Copy this file, readers/csharp/SightlinePvs.cs and the C library (readers/c, to Assets/Plugins) into the project and
-// the .pvs file to Assets/StreamingAssets. Add the component to the level's root, the object that the glTF importer
-// made. Renderers are matched with the result's objects by the names of their glTF nodes; renderers of one name are
-// shown and hidden together. Those whose node is in no set at all, or not in the file, are left as they are.
+// Copy this file and readers/csharp/SightlinePvs.cs into the project, the C library (readers/c) to
+// Assets/Plugins, and the .pvs file to Assets/StreamingAssets. Add the component to the root object of the
+// level, which the glTF importer creates. The component assigns renderers to objects of the result by the
+// names of their glTF nodes. It shows or hides renderers of the same name together. It does not change
+// renderers whose node is in no set or not in the result.
 
 using System.Collections.Generic;
 using System.IO;
 using Sightline;
 using UnityEngine;
 
-/// <summary>Hides what the camera's cell does not see.</summary>
+/// <summary>A component that hides the renderers that are not visible from the cell of the camera.</summary>
 public sealed class SightlineCuller : MonoBehaviour
 {
-    [Tooltip("The result, in StreamingAssets.")]
+    [Tooltip("The file of the result, in StreamingAssets.")]
     public string file = "level.pvs";
 
-    [Tooltip("The eye; without one, the main camera.")]
+    [Tooltip("The camera. Default: the main camera.")]
     public Camera viewer;
 
-    [Tooltip("From this object's space to the file's. Importers mirror an axis: glTFast and UnityGLTF x.")]
+    [Tooltip("The scale from this object's space to the file's space. glTFast and UnityGLTF mirror the x axis.")]
     public Vector3 axes = new Vector3(-1f, 1f, 1f);
 
     const long Unknown = -1, None = -2;
 
     Pvs pvs;
     long cell = None;
-    uint[] nodeOf;                        // the node's number in `renderers`, for each object
-    List<Renderer>[] renderers;           // of each node
-    bool[] known, seen;                   // of each node: in some set, in this cell's set
+    uint[] nodeOf;                        // The number of the node of each object.
+    List<Renderer>[] renderers;           // The renderers of each node.
+    bool[] known, seen;                   // For each node, true if a set or the current set contains it.
 
-    /// <summary>The cell of the last update; negative where nothing is known and everything is drawn.</summary>
+    /// <summary>The cell of the last update. If the cell is negative, the component shows all
+    /// renderers.</summary>
     public long Cell { get { return cell; } }
 
     void Start()
@@ -41,14 +43,14 @@ public sealed class SightlineCuller : MonoBehaviour
         }
         catch (PvsException e)
         {
-            Debug.LogError(file + ": " + e.Message + "; nothing is culled", this);
+            Debug.LogError(file + ": " + e.Message + "; culling is off", this);
             enabled = false;
             return;
         }
         Match(GetComponentsInChildren<Renderer>(true));
     }
 
-    // An object is named "node/mesh#primitive".
+    // Assigns renderers to nodes by name. The name of an object is "node/mesh#primitive".
     void Match(Renderer[] all)
     {
         var numbers = new Dictionary<string, uint>();
@@ -70,7 +72,7 @@ public sealed class SightlineCuller : MonoBehaviour
         }
         if (matched == 0)
         {
-            Debug.LogWarning(file + ": no renderer below " + name + " has the name of a node that was baked", this);
+            Debug.LogWarning(file + ": no renderer below " + name + " has the name of a baked node", this);
         }
         known = new bool[numbers.Count];
         seen = new bool[numbers.Count];
@@ -80,7 +82,7 @@ public sealed class SightlineCuller : MonoBehaviour
         }
     }
 
-    // After the camera has moved.
+    // Shows and hides renderers. Unity calls LateUpdate after other scripts have moved the camera.
     void LateUpdate()
     {
         Camera eye = viewer != null ? viewer : Camera.main;
@@ -97,7 +99,7 @@ public sealed class SightlineCuller : MonoBehaviour
         }
         for (int k = 0; k < seen.Length; k++)
         {
-            // Not `enabled`, which is the game's own.
+            // The component does not use `enabled`, because the game may use it.
             foreach (Renderer renderer in renderers[k]) if (renderer != null) renderer.forceRenderingOff = !seen[k];
         }
     }

@@ -1,5 +1,6 @@
-//! Arbitrary bytes as calls of the gRPC interface, to a coordinator in memory: `cargo +nightly fuzz run
-//! calls` in `fuzz/`. A crash found becomes a test in `coordinator/src/services/fuzzing.rs`.
+//! A fuzz target that reads bytes as calls of the gRPC interface, to a coordinator in memory:
+//! `cargo +nightly fuzz run calls` in `fuzz/`. A crash becomes a test in
+//! `coordinator/src/services/fuzzing.rs`.
 #![no_main]
 
 static INTERFACE: std::sync::LazyLock<sightline_coordinator::fuzzing::Interface> =

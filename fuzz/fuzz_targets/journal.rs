@@ -1,5 +1,5 @@
-//! Arbitrary bytes as the files of a journal, which is opened and continued: `cargo +nightly fuzz run
-//! journal` in `fuzz/`. A crash found becomes a test in `coordinator/store/src/journal_tests.rs`.
+//! A fuzz target that opens and continues bytes as the files of a journal: `cargo +nightly fuzz run journal`
+//! in `fuzz/`. A crash becomes a test in `coordinator/store/src/journal_tests.rs`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

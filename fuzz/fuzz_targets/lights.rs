@@ -1,5 +1,5 @@
-//! Arbitrary bytes as the lines of a lights file, whose form factors are computed: `cargo +nightly fuzz run
-//! lights` in `fuzz/`. A crash found becomes a file in `crates/ambient/tests/crashes/`.
+//! A fuzz target that reads bytes as a lights file and computes the form factors:
+//! `cargo +nightly fuzz run lights` in `fuzz/`. A crash becomes a file in `crates/ambient/tests/crashes/`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -1,5 +1,5 @@
-//! Arbitrary bytes as the lines of a points file, whose openness is computed: `cargo +nightly fuzz run
-//! points` in `fuzz/`. A crash found becomes a file in `crates/ambient/tests/crashes/`.
+//! A fuzz target that reads bytes as a points file and computes the openness:
+//! `cargo +nightly fuzz run points` in `fuzz/`. A crash becomes a file in `crates/ambient/tests/crashes/`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -1,5 +1,5 @@
-//! Arbitrary bytes as a `.pvs` file with right checksums, which is read: `cargo +nightly fuzz run pvs` in
-//! `fuzz/`. A crash found becomes a file in `crates/pvs/tests/crashes/`.
+//! A fuzz target that reads bytes as a `.pvs` file with correct checksums: `cargo +nightly fuzz run pvs` in
+//! `fuzz/`. A crash becomes a file in `crates/pvs/tests/crashes/`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

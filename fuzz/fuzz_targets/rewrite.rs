@@ -1,5 +1,5 @@
-//! Arbitrary bytes as a glTF or GLB file that values are written into: `cargo +nightly fuzz run
-//! rewrite` in `fuzz/`. A crash found becomes a file in `crates/texels/tests/crashes/`.
+//! A fuzz target that writes values into bytes as a glTF or GLB file: `cargo +nightly fuzz run rewrite` in
+//! `fuzz/`. A crash becomes a file in `crates/texels/tests/crashes/`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

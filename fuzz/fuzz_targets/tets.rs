@@ -1,5 +1,5 @@
-//! Arbitrary bytes as a `.tets` file with right checksums, which is looked at: `cargo +nightly fuzz run
-//! tets` in `fuzz/`. A crash found becomes a test of `crates/tetra/tests/fuzzed.rs`.
+//! A fuzz target that reads bytes as a `.tets` file with correct checksums, and queries it:
+//! `cargo +nightly fuzz run tets` in `fuzz/`. A crash becomes a test in `crates/tetra/tests/fuzzed.rs`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -1,5 +1,6 @@
-//! Arbitrary bytes as the output of a tile, decoded and encoded again: `cargo +nightly fuzz run tile` in
-//! `fuzz/`. A crash found becomes a test in `crates/model/src/output/codec/tests.rs`.
+//! A fuzz target that decodes bytes as the output of a tile and encodes it again:
+//! `cargo +nightly fuzz run tile` in `fuzz/`. A crash becomes a test in
+//! `crates/model/src/output/codec/tests.rs`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

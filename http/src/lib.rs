@@ -1,7 +1,7 @@
-//! HTTP to object stores, for the coordinator and for workers: rustls with the one provider of cryptography
-//! of this program, and no wait without an end.
+//! The HTTP client for object stores, used by the coordinator and by workers. The client uses rustls with
+//! this program's only cryptography provider, and every wait has a time limit.
 //!
-//! Errors never have the address of a request: that of a request which is signed in its address is a secret.
+//! Errors never contain the address of a request, because a signed address is a secret.
 
 use std::error::Error as StdError;
 use std::pin::Pin;
@@ -24,56 +24,57 @@ use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::CertificateDer;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 
-/// How long an answer may pause within its body.
+/// Timeout for a pause within the body of an answer.
 const PAUSE: Duration = Duration::from_secs(30);
-/// How long an unused connection is kept.
+/// The time for which an unused connection stays open.
 const IDLE: Duration = Duration::from_secs(20);
 
-/// Where a request has failed.
+/// The stage at which a request failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum During {
-    /// There is no connection.
+pub enum RequestStage {
+    /// No connection was made.
     Connecting,
-    /// Something took too long.
+    /// A time limit was exceeded.
     Waiting,
     /// The connection broke.
     Talking,
 }
 
-/// A request that was not answered, or an answer that broke off.
+/// An error of a request without an answer, or of an interrupted answer.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{reason}")]
-pub struct Fault {
-    /// Where.
-    pub during: During,
-    /// The innermost error, which has no address.
+pub struct RequestError {
+    /// The stage at which the request failed.
+    pub stage: RequestStage,
+    /// The message of the innermost error. The message does not contain the URL of the request, because a
+    /// signed URL is a secret.
     pub reason: String,
 }
 
-impl Fault {
+impl RequestError {
     fn late(what: &str) -> Self {
         Self {
-            during: During::Waiting,
+            stage: RequestStage::Waiting,
             reason: what.to_owned(),
         }
     }
 
-    fn of(during: During, e: &dyn StdError) -> Self {
+    fn from_error(stage: RequestStage, e: &dyn StdError) -> Self {
         let mut inner = e;
         while let Some(deeper) = inner.source() {
             inner = deeper;
         }
         Self {
-            during,
+            stage,
             reason: inner.to_string(),
         }
     }
 }
 
-/// Whom to trust: the system's authorities, and those of a PEM text.
+/// Returns the trusted authorities: the authorities of the system and of a PEM text.
 ///
 /// # Errors
-/// What is wrong with the text.
+/// A description of the fault of the text.
 pub fn roots(pem: Option<&[u8]>) -> Result<RootCertStore, String> {
     let mut roots = RootCertStore::empty();
     let system = rustls_native_certs::load_native_certs();
@@ -81,7 +82,7 @@ pub fn roots(pem: Option<&[u8]>) -> Result<RootCertStore, String> {
     if unusable > 0 || !system.errors.is_empty() {
         let errors = system.errors.len();
         tracing::debug!(
-            "of the system's authorities {unusable} cannot be used, and {errors} not be read"
+            "{unusable} of the system's authorities cannot be used, and {errors} cannot be read"
         );
     }
     if let Some(pem) = pem {
@@ -91,13 +92,13 @@ pub fn roots(pem: Option<&[u8]>) -> Result<RootCertStore, String> {
             roots.add(certificate).map_err(|e| e.to_string())?;
         }
         if roots.len() == before {
-            return Err("it holds no certificate".to_owned());
+            return Err("the PEM text contains no certificate".to_owned());
         }
     }
     Ok(roots)
 }
 
-/// Makes connections. Clones share them. `B` is the body of its requests.
+/// A factory of connections, which clones share. `B` is the type of the request bodies.
 #[derive(Debug)]
 pub struct Client<B>(legacy::Client<HttpsConnector<Tcp>, B>);
 
@@ -112,10 +113,10 @@ where
     B: Body<Data = Bytes> + Send + Unpin + 'static,
     B::Error: Into<Box<dyn StdError + Send + Sync>>,
 {
-    /// A client that trusts these authorities; a connection takes no longer than `connect`.
+    /// Creates a client that trusts these authorities. Making a connection takes at most `connect`.
     ///
     /// # Errors
-    /// When TLS cannot be set up.
+    /// An error if TLS cannot be set up.
     pub fn new(roots: RootCertStore, connect: Duration) -> Result<Self, String> {
         let config = tokio_rustls::rustls::ClientConfig::builder_with_provider(Arc::new(
             ring::default_provider(),
@@ -140,38 +141,38 @@ where
         Ok(Self(client))
     }
 
-    /// Sends a request; its answer begins within this time, which is also the time for its body to be sent.
+    /// Sends a request. The request's body must be sent, and its answer must begin, within the time `within`.
     ///
     /// # Errors
-    /// Why there is no answer.
+    /// The reason why there is no answer.
     pub async fn request(
         &self,
         request: Request<B>,
         within: Duration,
-    ) -> Result<Response<Answer>, Fault> {
+    ) -> Result<Response<ResponseBody>, RequestError> {
         let answer = timeout(within, self.0.request(request)).await;
-        let answer = answer.map_err(|_| Fault::late("no answer"))?;
-        let during = |e: &LegacyError| {
+        let answer = answer.map_err(|_| RequestError::late("the server sent no answer in time"))?;
+        let stage = |e: &LegacyError| {
             if e.is_connect() {
-                During::Connecting
+                RequestStage::Connecting
             } else {
-                During::Talking
+                RequestStage::Talking
             }
         };
         Ok(answer
-            .map_err(|e| Fault::of(during(&e), &e))?
-            .map(Answer::new))
+            .map_err(|e| RequestError::from_error(stage(&e), &e))?
+            .map(ResponseBody::new))
     }
 }
 
-/// The body of an answer, which ends with an error when it pauses for too long.
+/// The body of an answer. The body ends with an error after a pause of more than 30 s.
 #[derive(Debug)]
-pub struct Answer {
+pub struct ResponseBody {
     body: Incoming,
     pause: Pin<Box<Sleep>>,
 }
 
-impl Answer {
+impl ResponseBody {
     fn new(body: Incoming) -> Self {
         Self {
             body,
@@ -179,39 +180,41 @@ impl Answer {
         }
     }
 
-    /// The next bytes; `None` at the end.
+    /// Returns the next bytes, or `None` at the end.
     ///
     /// # Errors
-    /// Why the answer broke off.
-    pub async fn next(&mut self) -> Result<Option<Bytes>, Fault> {
+    /// The reason why the answer was interrupted.
+    pub async fn next(&mut self) -> Result<Option<Bytes>, RequestError> {
         loop {
             let frame = std::future::poll_fn(|cx| Pin::new(&mut *self).poll_frame(cx)).await;
             match frame.transpose()?.map(Frame::into_data) {
                 None => return Ok(None),
                 Some(Ok(bytes)) => return Ok(Some(bytes)),
-                // Trailers have no bytes.
+                // Trailers contain no bytes.
                 Some(Err(_)) => {}
             }
         }
     }
 }
 
-impl Body for Answer {
+impl Body for ResponseBody {
     type Data = Bytes;
-    type Error = Fault;
+    type Error = RequestError;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Fault>>> {
+    ) -> Poll<Option<Result<Frame<Bytes>, RequestError>>> {
         if let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(cx) {
             self.pause.as_mut().reset(Instant::now() + PAUSE);
-            return Poll::Ready(
-                frame.map(|frame| frame.map_err(|e| Fault::of(During::Talking, &e))),
-            );
+            return Poll::Ready(frame.map(|frame| {
+                frame.map_err(|e| RequestError::from_error(RequestStage::Talking, &e))
+            }));
         }
         ready!(self.pause.as_mut().poll(cx));
-        Poll::Ready(Some(Err(Fault::late("the answer came to a halt"))))
+        Poll::Ready(Some(Err(RequestError::late(
+            "the server sent no further bytes of the answer for 30 s",
+        ))))
     }
 
     fn is_end_stream(&self) -> bool {

@@ -2,45 +2,51 @@
 
 use crate::v1::Chunk;
 
-/// Most bytes of one chunk.
+/// Maximum number of data bytes of a chunk.
 pub const CHUNK_BYTES: usize = 1 << 20;
 
-/// Why a stream of chunks is not a whole blob.
+/// The reason why a stream of chunks is not a complete blob.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChunkError {
-    /// A checksum does not match.
+    /// A checksum does not match. Contains the offset of the chunk, in bytes.
     #[error("the chunk at byte {0} arrived damaged; send it again")]
     Checksum(u64),
-    /// A chunk is too large, out of order, or beyond the announced length.
-    #[error("the chunk at byte {0} is not the next one; send all chunks again from the first")]
+    /// A chunk is too large, out of order, or beyond the announced length. Contains the offset that the
+    /// rejected chunk states, in bytes.
+    #[error(
+        "the chunk at byte {0} is too large, out of order or beyond the announced length; \
+         send all chunks again"
+    )]
     Order(u64),
     /// The stream ended early.
     #[error("the stream ended after {got} bytes of {want}; send all chunks again")]
     Short {
-        /// Bytes received.
+        /// The number of received bytes.
         got: u64,
-        /// Bytes announced.
+        /// The number of announced bytes.
         want: u64,
     },
-    /// The announced length is above the limit.
+    /// The announced length exceeds the limit. Contains the length and the limit, in bytes.
     #[error("{0} bytes were announced; at most {1} are accepted")]
     TooLarge(u64, u64),
 }
 
-/// The number of chunks of `bytes`: at least one, so that a length of zero is announced too.
+/// Returns the number of chunks of `bytes`. The number is at least one, so that a length of zero is
+/// announced, too.
 pub fn count(bytes: &[u8]) -> usize {
     bytes.len().div_ceil(CHUNK_BYTES).max(1)
 }
 
-/// Chunk `i` of [`count`]; an empty chunk beyond the end.
+/// Returns chunk `i` of [`count`] chunks, or an empty chunk beyond the end.
 pub fn piece(bytes: &[u8], i: usize) -> Chunk {
     let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
     let data = &bytes[start..start.saturating_add(CHUNK_BYTES).min(bytes.len())];
     chunk(data.to_vec(), start as u64, bytes.len() as u64)
 }
 
-/// The chunk of `data`, which begins at byte `offset` of `total`. All chunks but the last have
-/// [`CHUNK_BYTES`].
+/// Creates the chunk of `data`, which begins at byte `offset` of a blob of `total` bytes.
+///
+/// All chunks except the last have [`CHUNK_BYTES`] bytes.
 pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
     let total = if offset == 0 { total } else { 0 };
     Chunk {
@@ -52,12 +58,12 @@ pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
     }
 }
 
-/// Cuts `bytes` into chunks.
+/// Splits `bytes` into chunks.
 pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
     (0..count(bytes)).map(|i| piece(bytes, i))
 }
 
-/// Checks that chunks arrive complete and in order. It does not keep them.
+/// A check that chunks arrive completely and in order. The check does not store the chunks.
 #[derive(Debug)]
 pub struct Sequence {
     got: u64,
@@ -66,7 +72,7 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Starts a blob of at most `limit` bytes.
+    /// Starts the check of a blob of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
         Self {
             got: 0,
@@ -78,7 +84,7 @@ impl Sequence {
     /// Checks the next chunk.
     ///
     /// # Errors
-    /// [`ChunkError`] when the chunk is damaged, is not the next one, or announces too many bytes.
+    /// A [`ChunkError`] if the chunk is damaged, is not the next one, or announces too many bytes.
     pub fn next(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
         check(chunk)?;
         let total = *self.total.get_or_insert(chunk.total);
@@ -93,10 +99,10 @@ impl Sequence {
         Ok(())
     }
 
-    /// The length of the blob, when all of it arrived.
+    /// Returns the length of the blob after all chunks have arrived.
     ///
     /// # Errors
-    /// [`ChunkError::Short`] when chunks are missing.
+    /// [`ChunkError::Short`] if chunks are missing.
     pub fn end(&self) -> Result<u64, ChunkError> {
         let (got, want) = (self.got, self.total.unwrap_or(0));
         if self.total.is_some() && got == want {
@@ -107,7 +113,7 @@ impl Sequence {
     }
 }
 
-/// Checks chunks and assembles the blob.
+/// A buffer that checks chunks and assembles them into a blob.
 #[derive(Debug)]
 pub struct Assembler {
     bytes: Vec<u8>,
@@ -123,26 +129,26 @@ impl Assembler {
         }
     }
 
-    /// Appends the next chunk. Memory grows with the bytes that arrive, not with the announced length.
+    /// Appends the next chunk. Memory grows with the received bytes, not with the announced length.
     ///
     /// # Errors
-    /// As [`Sequence::next`].
+    /// The errors of [`Sequence::next`].
     pub fn push(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
         self.sequence.next(chunk)?;
         self.bytes.extend_from_slice(&chunk.data);
         Ok(())
     }
 
-    /// The blob.
+    /// Returns the complete blob.
     ///
     /// # Errors
-    /// As [`Sequence::end`].
+    /// The errors of [`Sequence::end`].
     pub fn finish(self) -> Result<Vec<u8>, ChunkError> {
         self.sequence.end().map(|_| self.bytes)
     }
 }
 
-/// Assembles blobs that follow each other in one stream.
+/// A buffer that assembles consecutive blobs in one stream.
 #[derive(Debug)]
 pub struct Blobs {
     limit: u64,
@@ -155,10 +161,10 @@ impl Blobs {
         Self { limit, open: None }
     }
 
-    /// Takes the next chunk; gives the blob that it ends.
+    /// Appends the next chunk. Returns the blob that the chunk completes, if any.
     ///
     /// # Errors
-    /// As [`Sequence::next`].
+    /// The errors of [`Sequence::next`].
     pub fn push(&mut self, chunk: &Chunk) -> Result<Option<Vec<u8>>, ChunkError> {
         let blob = self.open.get_or_insert_with(|| Assembler::new(self.limit));
         blob.push(chunk)?;
@@ -169,10 +175,10 @@ impl Blobs {
     }
 }
 
-/// Checks a chunk's size and checksum.
+/// Checks the size and the checksum of a chunk.
 ///
 /// # Errors
-/// [`ChunkError`] with the chunk's offset.
+/// A [`ChunkError`] with the chunk's offset.
 pub fn check(chunk: &Chunk) -> Result<(), ChunkError> {
     if chunk.data.len() > CHUNK_BYTES {
         return Err(ChunkError::Order(chunk.offset));
@@ -189,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blobs_come_back() {
+    fn blobs_survive_chunks() {
         for n in [0, 1, CHUNK_BYTES, CHUNK_BYTES * 2 + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut a = Assembler::new(1 << 30);
@@ -200,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_loss_and_excess_are_refused() {
+    fn damaged_missing_and_excess_chunks_are_rejected() {
         let bytes = vec![3u8; CHUNK_BYTES + 9];
         let chunks: Vec<_> = cut(&bytes).collect();
         let mut a = Assembler::new(1 << 30);

@@ -1,7 +1,7 @@
 //! The `sightline.v1` gRPC interface: messages, clients and servers generated from `proto/sightline/v1`.
 //!
-//! The comments of the .proto files are the contract. Besides the generated code, this crate converts blobs
-//! to [`v1::Chunk`]s and back.
+//! The comments in the .proto files specify the interface. In addition to the generated code, this crate
+//! converts blobs to [`v1::Chunk`]s and back.
 //!
 //! ```
 //! use sightline_proto::chunks::{Assembler, cut};
@@ -17,9 +17,9 @@
 
 pub mod chunks;
 #[cfg(feature = "services")]
-pub mod connecting;
+pub mod connection;
 
-/// Package `sightline.v1`.
+/// The generated code of the package `sightline.v1`.
 #[allow(
     missing_docs,
     clippy::all,
@@ -32,7 +32,8 @@ pub mod v1 {
 }
 
 impl std::fmt::Debug for v1::Address {
-    /// Who has an address may use it, so no message and no log may show one.
+    /// Hides the URL and the headers. Every holder of an address may use it, so no message and no log may
+    /// show one.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Address(…)")
     }
@@ -41,5 +42,5 @@ impl std::fmt::Debug for v1::Address {
 /// The compiled descriptors of the .proto files, for gRPC reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 
-/// The version of the messages between coordinator and worker, which `Hello` names.
+/// The version of the messages between coordinator and worker, which `Hello` contains.
 pub const PROTOCOL: u32 = 2;

@@ -1,6 +1,6 @@
-//! The interface against its frozen form: fields, methods and values may be added, and an existing one may
-//! neither change nor disappear. Until the first release an issue may replace the frozen form. After an
-//! addition: `SIGHTLINE_FREEZE=1 cargo test --workspace --test frozen`.
+//! Compares the interface with its frozen form. Fields, methods and values may be added, but existing ones
+//! may neither change nor disappear. Until the first release an issue may replace the frozen form. After an
+//! addition, run `SIGHTLINE_FREEZE=1 cargo test --workspace --test frozen`.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -10,7 +10,7 @@ use std::path::Path;
 use prost::Message as _;
 use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorSet};
 
-/// What must not change, a line for each field, value and method.
+/// Returns the parts of the interface that must not change: one line for each field, value and method.
 fn lines(set: &FileDescriptorSet) -> BTreeSet<String> {
     let mut all = BTreeSet::new();
     for file in set
@@ -83,7 +83,7 @@ fn of_enum(within: &str, of: &EnumDescriptorProto, all: &mut BTreeSet<String>) {
 }
 
 #[test]
-fn nothing_that_clients_use_has_changed() {
+fn interface_keeps_frozen_form() {
     let now = lines(&FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap());
     assert!(
         now.contains("field .sightline.v1.ShowRequest 1 optional uint64 job"),

@@ -14,7 +14,7 @@ use crate::errors::{OptionError, from_library, parse};
 use crate::mesh;
 use crate::runner::wait;
 
-/// The client of a coordinator; it connects for each call.
+/// A client of a coordinator, which connects for each call.
 #[pyclass(frozen, module = "sightline._sightline")]
 pub struct Client(sightline::Client);
 
@@ -56,7 +56,7 @@ impl Client {
             let job = job.map_err(|e| e.naming_scene(source.path()))?;
             let name = process::default_name()?;
             let traces = options.traces.start("sightline-submit", &name)?;
-            let _sends_the_rest = traces.closing();
+            let _flush_guard = traces.flush_guard();
             let (client, submission) = (&self.0, &options.submission);
             let handle = client.submit_traced(&scene, &job, submission, &traces, observer)?;
             Ok((handle.job().to_json().to_string(), handle.is_existing()))
@@ -101,7 +101,11 @@ impl Client {
             "pause" => JobAction::Pause { now: false },
             "resume" => JobAction::Resume,
             "retry" => JobAction::Retry,
-            other => return Err(OptionError::new_err(format!("a job has no {other}"))),
+            other => {
+                return Err(OptionError::new_err(format!(
+                    "a job has no action {other:?}; give cancel, pause, resume or retry"
+                )));
+            }
         };
         wait(py, None, |observer| self.0.act(job, action, observer))
             .map(|job| job.to_json().to_string())

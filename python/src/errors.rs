@@ -1,4 +1,4 @@
-//! Errors of the program as exceptions of the package, in words of Python.
+//! Conversions of library errors into exceptions of the package, with Python's names of options.
 
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -13,7 +13,7 @@ pyo3::import_exception!(sightline._errors, Error);
 pyo3::import_exception!(sightline._errors, CoordinatorError);
 pyo3::import_exception!(sightline._errors, JobError);
 
-/// Creates the exception of a result that is rejected, or of a look-up in it.
+/// Creates the exception of a rejected result, or of a failed look-up in a result.
 pub fn of_pvs(e: PvsError) -> PyErr {
     match e {
         PvsError::NoCell { .. } => PyIndexError::new_err(e.to_string()),
@@ -43,7 +43,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> PyResult<T> {
     serde_json::from_str(text).map_err(|e| OptionError::new_err(e.to_string()))
 }
 
-/// Returns a message with options as Python writes them: `max_error` for `--max-error`.
+/// Returns a message with Python's names of options: `max_error` for `--max-error`.
 fn in_python(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
@@ -54,7 +54,7 @@ fn in_python(text: &str) -> String {
             .find(|c: char| !c.is_ascii_lowercase() && c != '-')
             .unwrap_or(name.len());
         out.push_str(before);
-        // Only a word is an option.
+        // Two dashes without a word are not an option.
         out.push_str(&if end > 0 {
             name[..end].replace('-', "_")
         } else {

@@ -1,5 +1,7 @@
-//! The native part of the Python package: results as numpy arrays, and the functions of the library. The
-//! public part is in `python/sightline`, which checks the types of arguments and passes them on as JSON.
+//! The native part of the Python package: results as numpy arrays, and the functions of the library.
+//!
+//! The public part is in `python/sightline`. The public part checks the types of arguments and passes the
+//! arguments to the native part as JSON.
 
 mod client;
 mod errors;

@@ -1,4 +1,4 @@
-//! A scene as the package hands it over: a path, or named parts with vertices and faces.
+//! The conversion of scenes from Python: a path, or named parts with vertices and faces.
 
 use std::path::PathBuf;
 
@@ -10,14 +10,14 @@ use sightline_scene::{Object, Triangle};
 
 use crate::errors::InputError;
 
-/// A part: its name, its vertices, and the corners of its faces.
+/// A part of a mesh: its name, its vertices, and the corners of its faces.
 type Part<'py> = (
     String,
     PyReadonlyArray2<'py, f32>,
     PyReadonlyArray2<'py, i64>,
 );
 
-/// Reads a mesh as `sightline._mesh.source` returns it.
+/// Converts a mesh in the form that `sightline._mesh.source` returns.
 pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<SceneSource> {
     if let Ok(path) = mesh.extract::<PathBuf>() {
         return Ok(SceneSource::File(path));
@@ -37,7 +37,9 @@ pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<SceneSource> {
             let corners: Option<Vec<Vec3>> = face.iter().map(vertex).collect();
             let v = corners.and_then(|c| <[Vec3; 3]>::try_from(c).ok());
             let v = v.ok_or_else(|| {
-                InputError::new_err(format!("{name}: a face is no triangle of its vertices"))
+                InputError::new_err(format!(
+                    "{name}: a face does not consist of the numbers of three vertices"
+                ))
             })?;
             triangles.push(Triangle { v });
         }
@@ -51,6 +53,5 @@ pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<SceneSource> {
 }
 
 fn number(n: usize) -> PyResult<u32> {
-    u32::try_from(n)
-        .map_err(|_| InputError::new_err("the mesh has more triangles than ids can number"))
+    u32::try_from(n).map_err(|_| InputError::new_err("the mesh has more than 4294967295 triangles"))
 }

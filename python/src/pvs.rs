@@ -1,4 +1,4 @@
-//! A result: its cells with their boxes, sets and statistics, and which cells see which.
+//! Results for Python: cells with their boxes, sets and statistics, and cell-to-cell visibility.
 
 use std::path::PathBuf;
 
@@ -13,21 +13,21 @@ use sightline_pvs::PvsError;
 
 use crate::errors::of_pvs;
 
-/// A cell: its number, or a point in it.
+/// A cell: its number, or a point in the cell.
 #[derive(FromPyObject)]
 pub enum CellOrPoint {
-    /// Its number.
+    /// The number of the cell.
     Cell(u32),
-    /// A point in it.
+    /// A point in the cell.
     Point([f32; 3]),
 }
 
-/// An opened result. Queries may come from several threads at a time.
+/// An open result. Several threads may query a result at the same time.
 #[pyclass(frozen, module = "sightline")]
 pub struct Pvs(pub sightline_pvs::Pvs);
 
 impl Pvs {
-    /// The number of a cell.
+    /// Returns the number of a cell, given by its number or by a point in the cell.
     pub fn cell(&self, of: &CellOrPoint) -> PyResult<u32> {
         match of {
             CellOrPoint::Cell(cell) => Ok(*cell),
@@ -58,7 +58,7 @@ impl Pvs {
 
 #[pymethods]
 impl Pvs {
-    /// Opens a file, or reads bytes, and checks all of it.
+    /// Opens a file, or reads bytes, and checks the whole content.
     #[new]
     fn new(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(bytes) = source.extract::<Vec<u8>>() {
@@ -73,7 +73,7 @@ impl Pvs {
             .map_err(of_pvs)
     }
 
-    /// The bytes of the file.
+    /// Returns the bytes of the file.
     fn to_bytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, self.0.bytes())
     }
@@ -91,44 +91,44 @@ impl Pvs {
         Ok((slf.getattr("__class__")?, (slf.get().to_bytes(py),)))
     }
 
-    /// Number of triangles of the scene.
+    /// Returns the number of triangles of the scene.
     #[getter]
     fn triangles(&self) -> u32 {
         self.0.triangle_count()
     }
 
-    /// How the sets were made: aggressive, exact, verified or portals.
+    /// Returns the method that computed the sets: aggressive, exact, verified or portals.
     #[getter]
     fn method(&self) -> &str {
         self.0.method()
     }
 
-    /// What the sets name: triangles, clusters or objects.
+    /// Returns the type of the items in the sets: triangles, clusters or objects.
     #[getter]
     fn granularity(&self) -> &str {
         self.0.granularity().name()
     }
 
-    /// Number of items that the sets name.
+    /// Returns the number of items that the sets can contain.
     #[getter]
     fn item_count(&self) -> u32 {
         self.0.item_count()
     }
 
-    /// The description of the bake, as JSON text.
+    /// Returns the description of the bake, as JSON text.
     #[getter]
     fn info_json(&self) -> &str {
         self.0.info_json()
     }
 
-    /// The description of the bake.
+    /// Returns the description of the bake.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         py.import("json")?
             .call_method1("loads", (self.0.info_json(),))
     }
 
-    /// The numbers of cells along x, y and z; None where the cells are no regular grid.
+    /// Returns the numbers of cells along x, y and z, or None if the cells are not a regular grid.
     #[getter]
     fn grid(&self) -> Option<(u32, u32, u32)> {
         let info: serde_json::Value = serde_json::from_str(self.0.info_json()).ok()?;
@@ -137,7 +137,7 @@ impl Pvs {
         Some((along("x")?, along("y")?, along("z")?))
     }
 
-    /// The box of all viewpoints: its least and its greatest corner.
+    /// Returns the box of all viewpoints: its minimum and its maximum corner.
     #[getter]
     fn view_box<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         self.0
@@ -148,7 +148,7 @@ impl Pvs {
             .reshape([2, 3])
     }
 
-    /// The objects of the scene as (name, first triangle, number of triangles).
+    /// Returns the objects of the scene as (name, first triangle, number of triangles).
     #[getter]
     fn objects(&self) -> Vec<(String, u32, u32)> {
         self.0
@@ -158,7 +158,7 @@ impl Pvs {
             .collect()
     }
 
-    /// The boxes of all cells: least x, y, z, then greatest x, y, z in each row.
+    /// Returns the boxes of all cells: minimum x, y, z, then maximum x, y, z in each row.
     #[getter]
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let cells = 0..self.0.cells();
@@ -168,7 +168,7 @@ impl Pvs {
         all.into_pyarray(py).reshape([self.0.cells() as usize, 6])
     }
 
-    /// Whether viewpoints can be in each cell.
+    /// Returns for each cell True if the cell can contain viewpoints.
     #[getter]
     fn reached<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<bool>>> {
         Ok(self
@@ -177,7 +177,8 @@ impl Pvs {
             .into_pyarray(py))
     }
 
-    /// Whether the tile of each cell was set aside after failures, so that the cell shows everything.
+    /// Returns for each cell True if the cell's tile was set aside after failures or has no output. The set
+    /// of such a cell contains all triangles that show.
     #[getter]
     fn set_aside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<bool>>> {
         Ok(self
@@ -186,7 +187,7 @@ impl Pvs {
             .into_pyarray(py))
     }
 
-    /// The statistics of the bake by name, one number for each cell.
+    /// Returns the statistics of the bake by name, with one number for each cell.
     #[getter]
     fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
@@ -196,17 +197,17 @@ impl Pvs {
         Ok(all)
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     fn __len__(&self) -> usize {
         self.0.cells() as usize
     }
 
-    /// The cell that holds a point; None outside the view box.
+    /// Returns the cell that contains a point, or None outside the view box.
     fn cell_of(&self, point: [f32; 3]) -> Option<u32> {
         self.0.find_cell(point)
     }
 
-    /// The cells that hold points, one a row; -1 outside the view box.
+    /// Returns the cells that contain points, with one point per row; -1 outside the view box.
     fn cells_of<'py>(
         &self,
         py: Python<'py>,
@@ -215,7 +216,7 @@ impl Pvs {
         let points = points.as_array();
         if points.ncols() != 3 {
             return Err(PyValueError::new_err(format!(
-                "points have 3 coordinates and not {}",
+                "points must have 3 coordinates, not {}",
                 points.ncols()
             )));
         }
@@ -228,32 +229,32 @@ impl Pvs {
         Ok(cells.into_pyarray(py))
     }
 
-    /// Whether viewpoints are in a cell.
+    /// Returns True if a cell can contain viewpoints.
     fn is_reached(&self, cell: u32) -> PyResult<bool> {
         self.0.is_reached(cell).map_err(of_pvs)
     }
 
-    /// Whether the result says which cells see which.
+    /// Returns True if the result contains cell-to-cell visibility.
     #[getter]
     fn has_pairs(&self) -> PyResult<bool> {
         Ok(self.0.cell_pairs().map_err(of_pvs)?.is_some())
     }
 
-    /// Whether a point of one cell may see a point of another one.
+    /// Returns True if a point of one cell may see a point of the other cell.
     fn sees(&self, one: CellOrPoint, other: CellOrPoint) -> PyResult<bool> {
         self.0
             .sees(self.cell(&one)?, self.cell(&other)?)
             .map_err(of_pvs)
     }
 
-    /// Whether a point of a cell may see a point of the box from `least` to `greatest`.
+    /// Returns True if a point of a cell may see a point of the box from `least` to `greatest`.
     fn sees_box(&self, of: CellOrPoint, least: [f32; 3], greatest: [f32; 3]) -> PyResult<bool> {
         self.0
             .sees_box(self.cell(&of)?, least, greatest)
             .map_err(of_pvs)
     }
 
-    /// The triangles to draw from a cell, or from the cell of a point, ascending.
+    /// Returns the triangles to draw from a cell, or from the cell of a point, ascending.
     fn visible<'py>(
         &self,
         py: Python<'py>,
@@ -262,7 +263,7 @@ impl Pvs {
         self.set(py, &of, sightline_pvs::Pvs::visible)
     }
 
-    /// Those of them that were neither seen nor proved hidden.
+    /// Returns the triangles to draw that were neither seen nor proved hidden.
     fn undecided<'py>(
         &self,
         py: Python<'py>,
@@ -271,7 +272,7 @@ impl Pvs {
         self.set(py, &of, sightline_pvs::Pvs::undecided)
     }
 
-    /// The objects of the triangles to draw, ascending.
+    /// Returns the objects of the triangles to draw, ascending.
     fn visible_objects<'py>(
         &self,
         py: Python<'py>,
@@ -280,7 +281,7 @@ impl Pvs {
         self.set(py, &of, sightline_pvs::Pvs::visible_objects)
     }
 
-    /// The items to draw: triangles, clusters or objects, by the granularity of the result.
+    /// Returns the items to draw: triangles, clusters or objects, by the granularity of the result.
     fn visible_items<'py>(
         &self,
         py: Python<'py>,
@@ -289,7 +290,7 @@ impl Pvs {
         self.set(py, &of, sightline_pvs::Pvs::visible_items)
     }
 
-    /// The number of triangles to draw from each cell.
+    /// Returns the number of triangles to draw from each cell.
     #[getter]
     fn set_sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u32>>> {
         let sizes = py.detach(|| {
@@ -300,9 +301,9 @@ impl Pvs {
         Ok(sizes.map_err(of_pvs)?.into_pyarray(py))
     }
 
-    /// How much of the view each visible item takes: a row for each of `visible_items`, with the mean share
-    /// of all directions and the greatest from one viewpoint, both rounded up to a power of two; None where
-    /// the result does not say.
+    /// Returns the share of the view that each visible item covers, with a row for each of `visible_items`.
+    /// Each row contains the mean share of all directions and the maximum from one viewpoint, both rounded up
+    /// to a power of two. Returns None if the result has no contributions.
     fn contributions<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,5 @@
-//! Runner of long work: another thread works, while this one shows the progress and handles Ctrl-C.
+//! The runner of long work: another thread works, while the calling thread shows the progress and handles
+//! Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -10,15 +11,15 @@ use sightline::{Error, Note, Observer, Progress};
 
 use crate::errors::{SightlineError, from_library};
 
-/// Time between two looks for signals.
+/// The time between two checks for signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// As large as that of most main threads.
+/// The stack size of the working thread in bytes, which equals the stack size of most main threads.
 const STACK_BYTES: usize = 8 << 20;
 
-/// Progress as Python receives it: done, total, noun, state, seconds left.
+/// The progress that Python receives: done, total, noun, state, remaining seconds.
 type ProgressTuple = (u64, u64, &'static str, &'static str, Option<f64>);
 
-/// The waiting thread, as the working one sees it.
+/// The handle by which the working thread reports to the waiting thread.
 struct Caller<'a> {
     progress: Mutex<Sender<ProgressTuple>>,
     stop: &'a AtomicBool,
@@ -34,12 +35,12 @@ impl Observer for Caller<'_> {
             progress.seconds_left(),
         );
         let sender = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        // The receiver is gone only when the work is to stop.
+        // The receiver is dropped only if the work should stop.
         let _ = sender.send(shown);
     }
 
     fn note(&self, note: &Note) {
-        // This fails when the interpreter is ending, or when a handler has raised an error.
+        // The call fails if the interpreter is ending, or if a handler has raised an error.
         let _ = Python::try_attach(|py| log(py, note));
     }
 
@@ -48,8 +49,8 @@ impl Observer for Caller<'_> {
     }
 }
 
-/// Does `work` without holding the interpreter. `progress` is called on this thread. An exception that it
-/// raises, and Ctrl-C, stop the work and are raised when that has ended.
+/// Runs `work` on another thread, without the interpreter lock. This thread calls `progress`. An exception in
+/// `progress`, or Ctrl-C, stops the work, and is raised after the work has ended.
 pub fn wait<T: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -72,7 +73,7 @@ pub fn wait<T: Send>(
             let mut raised = None;
             loop {
                 let latest = match told.recv_timeout(LOOK_EVERY) {
-                    // What came since then is newer.
+                    // Only the newest progress counts.
                     Ok(first) => Some(told.try_iter().last().unwrap_or(first)),
                     Err(RecvTimeoutError::Timeout) => None,
                     Err(RecvTimeoutError::Disconnected) => break,
@@ -93,7 +94,7 @@ pub fn wait<T: Send>(
     })
 }
 
-/// Calls `progress`, and lets the handlers of signals run.
+/// Calls `progress`, and runs the handlers of signals.
 fn show(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -106,7 +107,7 @@ fn show(
     Ok(())
 }
 
-/// Gives a note to Python's logger "sightline".
+/// Passes a note to Python's logger "sightline".
 fn log(py: Python<'_>, note: &Note) -> PyResult<()> {
     let logger = py
         .import("logging")?

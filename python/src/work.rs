@@ -1,4 +1,4 @@
-//! Baking, planning, measuring and checking in this process. Options and answers are JSON text.
+//! Functions that bake, plan, measure and check in this process. Options and answers are JSON text.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ struct BakeOptions {
     local: Local,
 }
 
-/// Bakes a scene, into a file if the options name one; returns the result.
+/// Bakes a scene, and writes a file if the options name one. Returns the result.
 #[pyfunction]
 pub fn bake(
     py: Python<'_>,
@@ -49,7 +49,7 @@ pub fn bake(
     .map(Pvs)
 }
 
-/// Writes the plan of a bake to a folder; returns its description.
+/// Writes the plan of a bake to a folder. Returns the plan's description.
 #[pyfunction]
 pub fn plan(
     py: Python<'_>,
@@ -69,7 +69,7 @@ pub fn plan(
     Ok(serde_json::json!(planned).to_string())
 }
 
-/// Computes a tile of a plan; returns its description.
+/// Computes a tile of a plan. Returns the tile's description.
 #[pyfunction]
 pub fn tile(
     py: Python<'_>,
@@ -78,7 +78,7 @@ pub fn tile(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
     let tile = wait(py, progress.as_ref(), |observer| {
-        tiles::run_tile(folder, number, observer)
+        tiles::run_tile(folder, tiles::TileIndex(number), observer)
     })?;
     Ok(serde_json::json!(tile).to_string())
 }
@@ -89,7 +89,7 @@ pub fn assemble(py: Python<'_>, folder: &str, output: PathBuf) -> PyResult<()> {
     wait(py, None, |_| tiles::assemble(folder, &output).map(drop))
 }
 
-/// Measures a result; returns the document of `sightline measure`.
+/// Measures a result. Returns the document of `sightline measure`.
 #[pyfunction]
 pub fn measure(
     py: Python<'_>,
@@ -107,7 +107,7 @@ pub fn measure(
     Ok(serde_json::json!(report).to_string())
 }
 
-/// Verifies a result; returns the document of `sightline verify --json`.
+/// Verifies a result. Returns the document of `sightline verify --json`.
 #[pyfunction]
 pub fn verify(
     py: Python<'_>,

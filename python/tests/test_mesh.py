@@ -61,10 +61,10 @@ def test_a_scene_has_an_object_for_each_node_at_its_place():
 @pytest.mark.parametrize(
     "vertices, faces, says",
     [
-        (np.zeros((4, 2)), [[0, 1, 2]], r"the vertices of mesh have the shape \(n, 3\), and not \(4, 2\)"),
+        (np.zeros((4, 2)), [[0, 1, 2]], r"the vertices of mesh must have the shape \(n, 3\), not \(4, 2\)"),
         (np.zeros(12), [[0, 1, 2]], r"not \(12,\)"),
-        (np.eye(3), [[0, 1, 2, 0]], r"the faces of mesh have the shape \(n, 3\), and not \(1, 4\)"),
-        (np.eye(3), [[0, 1, 3]], r"face 0 of mesh is \[0, 1, 3\], and the vertices are numbered from 0 to 2"),
+        (np.eye(3), [[0, 1, 2, 0]], r"the faces of mesh must have the shape \(n, 3\), not \(1, 4\)"),
+        (np.eye(3), [[0, 1, 3]], r"face 0 of mesh is \[0, 1, 3\], but the vertices are numbered from 0 to 2"),
         (np.eye(3), [[0, 1, 2], [0, -1, 2]], "face 1 of mesh"),
         (np.eye(3), np.zeros((0, 3), int), "has no faces"),
         ([[0, 0, 0], [1, np.nan, 0], [0, 1, 0]], [[0, 1, 2]], r"vertex 1 of mesh is \[1.0, nan, 0.0\]"),

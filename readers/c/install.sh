@@ -1,7 +1,9 @@
 #!/bin/sh
-# install.sh PREFIX: builds the C library and installs header, libraries and pkg-config file below PREFIX.
+# Builds the C library, and installs the header, the libraries and the pkg-config file in PREFIX.
+#
+#   readers/c/install.sh PREFIX
 set -eu
-prefix=${1:?give the folder to install to, such as /usr/local}
+prefix=${1:?PREFIX is missing; name the folder of the installation, such as /usr/local}
 mkdir -p "$prefix"
 prefix=$(cd "$prefix" && pwd)
 cd "$(dirname "$0")/../.."
@@ -15,4 +17,4 @@ for library in libsightline_pvs_c.a libsightline_pvs_c.so libsightline_pvs_c.dyl
 done
 sed -e "s|@PREFIX@|$prefix|" -e "s|@VERSION@|$version|" readers/c/sightline_pvs.pc.in \
     > "$prefix/lib/pkgconfig/sightline_pvs.pc"
-echo "installed below $prefix: pkg-config --cflags --libs sightline_pvs"
+echo "installed in $prefix; for the flags of the compiler, run pkg-config --cflags --libs sightline_pvs"

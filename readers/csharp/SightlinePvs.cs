@@ -1,12 +1,12 @@
-// Reads .pvs results in .NET and Unity: view cells, and what is visible from each. Calls the C library
-// (readers/c), which must be where the loader finds it: libsightline_pvs_c.so, .dylib or sightline_pvs_c.dll.
+// A reader of .pvs results for .NET and Unity: view cells and their visible sets. The reader calls the C
+// library (readers/c). Install libsightline_pvs_c.so, .dylib or sightline_pvs_c.dll in a folder that the
+// loader searches.
 //
 //   using (var pvs = new Sightline.Pvs("level.pvs")) {
 //       long cell = pvs.CellOf(1f, 2f, 3f);                 // -1 outside the view box
 //       if (cell >= 0) foreach (uint id in pvs.Visible((uint)cell)) Draw(id);
 //   }
-//
-// Queries may come from several threads at a time.
+// Several threads may query a result at the same time.
 
 using System;
 using System.Runtime.InteropServices;
@@ -14,7 +14,7 @@ using System.Text;
 
 namespace Sightline
 {
-    /// <summary>Why a result is refused.</summary>
+    /// <summary>The error of a result that the reader rejects.</summary>
     public sealed class PvsException : Exception
     {
         public PvsException(string message) : base(message) { }
@@ -27,7 +27,7 @@ namespace Sightline
         public uint First, Count;
     }
 
-    // Keeps a result open while a query runs, and closes it once.
+    // A handle that keeps a result open while a query runs, and closes the result once.
     sealed class PvsHandle : SafeHandle
     {
         public PvsHandle(IntPtr opened) : base(IntPtr.Zero, true) { SetHandle(opened); }
@@ -75,7 +75,7 @@ namespace Sightline
         public uint Cells { get { return sightline_pvs_cells(handle); } }
         public uint Objects { get { return sightline_pvs_objects(handle); } }
 
-        /// <summary>How the sets were made: aggressive, exact, verified or portals.</summary>
+        /// <summary>The method of the bake: aggressive, exact, verified or portals.</summary>
         public string Method { get { return Alive(Text(sightline_pvs_method(handle))); } }
 
         /// <summary>The description of the bake, as JSON.</summary>
@@ -89,10 +89,10 @@ namespace Sightline
             return new PvsObject { Name = Alive(Text(name)), First = first, Count = count };
         }
 
-        /// <summary>The cell that holds a point in the scene's space; -1 outside the view box.</summary>
+        /// <summary>Returns the cell of a point in world space, or -1 outside the view box.</summary>
         public long CellOf(float x, float y, float z) { return sightline_pvs_cell_of(handle, x, y, z); }
 
-        /// <summary>The box of a cell: least x, y, z, then greatest x, y, z.</summary>
+        /// <summary>Returns the box of a cell: minimum x, y, z, then maximum x, y, z.</summary>
         public float[] Box(uint cell)
         {
             var box = new float[6];
@@ -100,7 +100,7 @@ namespace Sightline
             return box;
         }
 
-        /// <summary>Whether viewpoints are in a cell.</summary>
+        /// <summary>Returns true if the cell contains viewpoints.</summary>
         public bool IsReached(uint cell) { return (Flags(cell) & 2) == 0; }
 
         long Flags(uint cell)
@@ -110,23 +110,26 @@ namespace Sightline
             return flags;
         }
 
-        /// <summary>The triangles to draw from a cell, ascending.</summary>
+        /// <summary>Returns the triangles to draw from a cell, ascending.</summary>
         public uint[] Visible(uint cell) { return Set(0, cell); }
 
-        /// <summary>Those of them that were neither seen nor proved hidden.</summary>
+        /// <summary>Returns the triangles to draw that were neither seen nor proved hidden.</summary>
         public uint[] Undecided(uint cell) { return Set(1, cell); }
 
-        /// <summary>The objects of the triangles to draw from a cell, ascending.</summary>
+        /// <summary>Returns the objects of the triangles to draw from a cell, ascending.</summary>
         public uint[] VisibleObjects(uint cell) { return Set(2, cell); }
 
-        /// <summary>The objects of undecided triangles of which no triangle is known to be visible.</summary>
+        /// <summary>Returns the objects with undecided triangles and without a visible triangle.</summary>
         public uint[] UndecidedObjects(uint cell) { return Set(3, cell); }
 
         uint[] Set(uint set, uint cell)
         {
             Flags(cell);
             long count = sightline_pvs_set(handle, set, cell, null, UIntPtr.Zero);
-            if (count < 0) throw new PvsException("the .pvs file was changed since it was opened");
+            if (count < 0)
+            {
+                throw new PvsException("the .pvs file was changed while it was open; open the file again");
+            }
             var ids = new uint[count];
             if (count > 0) sightline_pvs_set(handle, set, cell, ids, (UIntPtr)ids.Length);
             return ids;
@@ -134,14 +137,14 @@ namespace Sightline
 
         public void Dispose() { handle.Dispose(); }
 
-        // The library's strings live as long as the result: it is not closed before they are copied.
+        // The library's strings are valid while the result is open, so the result must stay open until they are copied.
         string Alive(string copied)
         {
             GC.KeepAlive(handle);
             return copied;
         }
 
-        // The strings of the library are in UTF-8, which .NET Framework and Mono do not marshal by themselves.
+        // The strings of the library are in UTF-8, which Mono and .NET Framework do not marshal.
         static string Text(IntPtr at)
         {
             int length = 0;

@@ -1,18 +1,18 @@
-// Reads .pvs results: view cells, and what is visible from each (docs/formats/pvs.md). No dependencies.
+// A reader of .pvs results: view cells and their visible sets (docs/formats/pvs.md). No dependencies.
 //
 //   import { Pvs } from './pvs.mjs';
 //   const pvs = Pvs.parse(await (await fetch('level.pvs')).arrayBuffer());   // checks every checksum
 //   const cell = pvs.cellOf(1, 2, 3);                // -1 outside the view box
 //   for (const id of pvs.visible(cell)) draw(id);    // Uint32Array, ascending
 //
-// Pvs.ranges(url) reads the tables alone, and each set when it is asked for: its sets are promises, and what is
-// not read has no checksum. Numbers are triangle ids, or those of pvs.items. Every error is a PvsError.
+// Pvs.ranges(url) reads only the tables, and each set on request: its sets are promises without a checksum.
+// Ids in sets are triangle ids, or the numbers of pvs.items (clusters or objects). Every error is a PvsError.
 
 export class PvsError extends Error {
   name = 'PvsError';
 }
 
-const bad = (why) => { throw new PvsError(`${why}; copy or bake it again`); };
+const bad = (why) => { throw new PvsError(`${why}; copy or bake the file again`); };
 const broken = (what) => bad(`the ${what} of the .pvs file is malformed`);
 const CUT = 'the .pvs file is cut short';
 const MAGIC = [0x89, 0x50, 0x56, 0x53, 13, 10, 26, 10];
@@ -40,11 +40,11 @@ const u64 = (view, at) => {
   return Number.isSafeInteger(n) ? n : broken('header');
 };
 
-// The fixed part of a file: everything but the sections' bytes.
+// Reads the fixed part of a file: all except the sections' bytes.
 function header(bytes, length) {
   if (bytes.length < 12 || MAGIC.some((m, i) => bytes[i] !== m)) bad('this is not a .pvs file');
   const view = viewOf(bytes), version = view.getUint32(8, true);
-  if (version !== 1 && version !== 2) bad(`the .pvs file has version ${version}, this reader knows 1 and 2`);
+  if (version !== 1 && version !== 2) bad(`the .pvs file has version ${version}, this reader supports 1 and 2`);
   if (bytes.length < 40) bad(CUT);
   const [count, triangles, cells, nodes, crc] = [12, 24, 28, 32, 36].map((at) => view.getUint32(at, true));
   if (count < (version === 1 ? 7 : 8) || count > (version === 1 ? 9 : 15)) broken('header');
@@ -80,7 +80,7 @@ function varint(bytes, at, what) {
   return broken(what);
 }
 
-// Reads exponential Golomb codes; without an order, checks the end.
+// Returns a function that reads the next exponential Golomb code of order k; without k, it checks the end.
 function codes(bytes, what) {
   const all = bytes.length * 8, bit = (i) => bytes[i >> 3] >> (i & 7);
   let at = 0;
@@ -99,7 +99,7 @@ function codes(bytes, what) {
   };
 }
 
-// Calls `each` with the start and the end of a coded set's runs; returns whether it is absolute.
+// Calls `each` with the start and the end of each run of a coded set. Returns true if the set is absolute.
 function runs(bytes, limit, each, what) {
   if (!bytes.length) return false;
   if (bytes[0] === 3 && bytes.length === 1) return true;
@@ -121,7 +121,7 @@ function runs(bytes, limit, each, what) {
   return bytes[0] === 1;
 }
 
-// The ids of runs, given by their starts and ends.
+// Returns the ids of runs, given by their starts and ends.
 function between(bounds) {
   let total = 0, i = 0;
   for (let k = 0; k < bounds.length; k += 2) total += bounds[k + 1] - bounds[k];
@@ -130,7 +130,7 @@ function between(bounds) {
   return out;
 }
 
-// The ids of an exclusive or of sets, given by all their boundaries: two equal ones cancel.
+// Returns the ids of an exclusive or of sets, given the boundaries of all their runs; equal pairs cancel.
 function ids(flips) {
   const bounds = [];
   for (const at of Uint32Array.from(flips).sort()) {
@@ -155,20 +155,20 @@ export class Pvs {
     return new Pvs(head, of, (offset, size) => bytes.subarray(offset, offset + size));
   }
 
-  // Fetches the tables of a file by range requests; sets are then fetched when they are asked for.
+  // Fetches the tables of a file by range requests; sets are fetched on request.
   static async ranges(url) {
     let length = 0;
     const range = async (offset, size) => {
       if (!size) return new Uint8Array(0);
       const answer = await fetch(url, { headers: { Range: `bytes=${offset}-${offset + size - 1}` } });
       const all = /^bytes (\d+)-\d+\/(\d+)$/.exec(answer.headers.get('content-range') ?? '');
-      if (answer.status !== 206 || !all || +all[1] !== offset) bad(`${url}: the server has no ranges`);
+      if (answer.status !== 206 || !all || +all[1] !== offset) bad(`${url}: the server does not support range requests`);
       length = +all[2];
       return new Uint8Array(await answer.arrayBuffer());
     };
     const head = header(await range(0, 40 + 24 * 15), length), parts = new Map();
     await Promise.all([...head.sections].map(async ([number, s]) => {
-      // Of the sets the offsets alone, of other large sections nothing.
+      // Fetch only the offsets of the sets, and no other large section.
       const table = number === 5 || number === 6;
       if (table || number <= 4 || number === 10) {
         parts.set(number, await range(s.offset, table && s.size ? 8 * (head.nodes + 1) : s.size));
@@ -202,7 +202,7 @@ export class Pvs {
       }
       this.items = { kind, count };
       const at = { i: 5 }, sets = kind === 'clusters' ? count : 1;
-      // The runs of the triangles of each cluster; for objects, of those that are never visible.
+      // The runs of the triangles of each cluster; for objects, the runs of triangles that are never visible.
       this.#items = [];
       for (let k = 0; k < sets; k++) {
         const size = varint(items, at, 'items'), coded = items.subarray(at.i, at.i += size);
@@ -228,7 +228,7 @@ export class Pvs {
     this.#parent = new Uint32Array(nodes);
     this.#upper = new Uint32Array(nodes);
     this.#leaf = new Uint32Array(this.cells);
-    // The cells' boxes: six numbers each, least corner first.
+    // The cells' boxes: six numbers each, minimum corner first.
     this.boxes = new Float32Array(6 * this.cells);
     const open = [{ parent: 0, box: this.viewBox, depth: 0, isUpper: false }];
     let cell = 0;
@@ -280,7 +280,7 @@ export class Pvs {
     return offsets;
   }
 
-  // The cell of a point; -1 outside the view box.
+  // Returns the number of the cell that contains a point, or -1 outside the view box.
   cellOf(x, y, z) {
     const p = [x, y, z];
     if (!p.every((c, k) => c >= this.viewBox[k] && c <= this.viewBox[k + 3])) return -1;
@@ -289,17 +289,17 @@ export class Pvs {
     return this.#upper[node];
   }
 
-  // Whether viewpoints are in a cell, and whether its tile failed so that it draws everything.
+  // isReached: true if the cell contains viewpoints. isSetAside: true if its tile failed; the set contains all ids.
   isReached(cell) { return !(this.flags[cell] & 2); }
   isSetAside(cell) { return !!(this.flags[cell] & 1); }
 
-  // What to draw from a cell, ascending; with Pvs.ranges a promise of it where something must be fetched.
+  // Returns the ids to draw from a cell, ascending; with Pvs.ranges a promise if bytes must be fetched.
   visible(cell) { return this.#set(5, cell); }
 
-  // The part of it that was neither seen nor proved hidden.
+  // Returns the ids of the visible set that were neither seen nor proved hidden.
   undecided(cell) { return this.#set(6, cell); }
 
-  // The triangles of some items, ascending.
+  // Returns the triangles of items, ascending.
   trianglesOf(items) {
     if (!this.#items) return items;
     const objects = this.items.kind === 'objects' && this.objects, bounds = [];
@@ -317,7 +317,7 @@ export class Pvs {
 
   #set(number, cell) {
     if (!(Number.isInteger(cell) && cell >= 0 && cell < this.cells)) {
-      throw new PvsError(`there is no cell ${cell}`);
+      throw new PvsError(`there is no cell ${cell}; the result has ${this.cells} cells`);
     }
     const offsets = this.#offsets[number], limit = this.items.count;
     if (!offsets) return new Uint32Array(0);

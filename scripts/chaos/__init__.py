@@ -1,4 +1,5 @@
-"""Breaks a farm of real processes in every way that a seed draws, and checks that nothing came of it.
+"""The chaos harness: injects faults, drawn from a seed, into a farm of real processes, and checks the
+results.
 
-`scripts/chaos.sh --help` says how to run it, docs/chaos.md what it injects and checks.
+`scripts/chaos.sh --help` explains the options. docs/chaos.md describes the faults and the checks.
 """

@@ -1,4 +1,4 @@
-"""The command: draws schedules, runs them side by side, and says what they found."""
+"""The command of the chaos harness: draws schedules, runs several at a time, and reports the problems."""
 
 from __future__ import annotations
 
@@ -25,47 +25,56 @@ from .worlds import WORLDS, Calm, named
 
 REGRESSIONS = Path(__file__).parent / "regressions.json"
 HELP = """\
-Breaks a farm of real processes and checks that nothing came of it. Each schedule is drawn from its seed alone: a job, a
-few workers in network namespaces of their own, and faults (killed, stopped and drained processes, a coordinator killed
-in the middle of a commit, lost, late, doubled and reordered packets, cuts in both ways or one, a full disk, a stepped
-clock, flipped bits in stored blobs, torn files). In some worlds two coordinators share a PostgreSQL, or blobs are in a
-bucket, and those are restarted, stopped, slow or cut off; in some a worker returns wrong bytes. When all faults are over,
-the job must end within a bound, with the bytes of a calm run; what was acknowledged must be there; totals must agree; no
-log may hold a secret or a panic.
+Injects faults into a farm of real processes and checks the results. A schedule consists of jobs, of workers
+in separate network namespaces, and of faults. The seed alone determines the schedule. Faults are: killed,
+stopped and drained processes, a coordinator that is killed during a commit, lost, late, duplicate and
+reordered packets, cut connections, a full disk, a changed clock, flipped bits in stored blobs, and files that
+end too early. In some worlds two coordinators share a PostgreSQL database, or an object store contains the
+blobs, and the harness restarts, stops, slows down or disconnects these services. In other worlds a worker
+returns wrong bytes. After all faults, each job must end within a time limit with the bytes of a calm run. All
+acknowledged changes must exist, totals must agree, and no log may contain a secret or a panic.
 
-Needs root, network namespaces with TUN devices, faketime, PostgreSQL and a C compiler (scripts/setup.sh --for test), and
-what `cargo build --workspace` makes. Without them it says so and ends with 2. Ends with 1 when a schedule found
-something, and says how to repeat it. docs/chaos.md says more.
+The harness needs root, network namespaces with TUN devices, faketime, PostgreSQL and a C compiler
+(scripts/setup.sh --for test), and the programs of `cargo build --workspace`. If a requirement is missing, the
+command prints the requirement and ends with exit code 2. If a schedule finds a problem, the command prints
+the command for a repetition and ends with exit code 1. docs/chaos.md describes the harness.
 """
 EXAMPLES = """\
 examples:
-  scripts/chaos.sh --schedules 100 --jobs 3           seeds 1 to 100
-  scripts/chaos.sh --seed 17                          seed 17 alone
-  scripts/chaos.sh --seed 17 --print                  what would happen, as JSON
-  scripts/chaos.sh --replay failed/17/schedule.json   a schedule from a file, perhaps edited
-  scripts/chaos.sh --regressions --schedules 12       the seeds that once found something, and twelve more
-  scripts/chaos.sh --self-check                       whether the checks see anything
+  scripts/chaos.sh --schedules 100 --jobs 3           run seeds 1 to 100
+  scripts/chaos.sh --seed 17                          run only seed 17
+  scripts/chaos.sh --seed 17 --print                  print the schedule of seed 17 as JSON
+  scripts/chaos.sh --replay failed/17/schedule.json   run a schedule from a file, which you may edit
+  scripts/chaos.sh --regressions --schedules 12       run the seeds that found defects, and seeds 1 to 12
+  scripts/chaos.sh --self-check                       check that the checks detect injected defects
 """
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser("scripts/chaos.sh", description=HELP, epilog=EXAMPLES,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, metavar="N", help="the first seed (default: 1)")
-    parser.add_argument("--schedules", type=int, metavar="N", help="how many, with seeds one after the other (default: 1)")
-    parser.add_argument("--world", choices=[world.name for world in WORLDS], help="the same world for all of them")
-    parser.add_argument("--jobs", type=int, metavar="N", default=2, help="so many at a time (default: 2)")
+    parser.add_argument("--seed", type=int, metavar="N", help="first seed. Default: 1")
+    parser.add_argument("--schedules", type=int, metavar="N",
+                        help="number of schedules, with consecutive seeds. Default: 1, with --regressions 0")
+    parser.add_argument("--world", choices=[world.name for world in WORLDS],
+                        help="world of all schedules. Default: the seed selects the world")
+    parser.add_argument("--jobs", type=int, metavar="N", default=2,
+                        help="number of schedules that run at a time. Default: 2")
     parser.add_argument("--bound", type=float, metavar="S", default=180.0,
-                        help="seconds that jobs may take once all faults are over (default: 180)")
-    parser.add_argument("--regressions", action="store_true", help="first the schedules of scripts/chaos/regressions.json")
-    parser.add_argument("--self-check", action="store_true", help="do what the checks must find, and see that they do")
-    parser.add_argument("--replay", type=Path, metavar="FILE", help="the schedule of a file")
+                        help="time limit for jobs after the last fault, in seconds. Default: 180")
+    parser.add_argument("--regressions", action="store_true",
+                        help="first run the schedules of scripts/chaos/regressions.json")
+    parser.add_argument("--self-check", action="store_true",
+                        help="inject defects, and fail unless the checks detect each of them")
+    parser.add_argument("--replay", type=Path, metavar="FILE", help="run only the schedule in this file")
     parser.add_argument("--print", action="store_true", help="print the schedules instead of running them")
     parser.add_argument("--keep", type=Path, metavar="DIR", default=Path("chaos-failed"),
-                        help="where the folders of failures go (default: chaos-failed)")
-    parser.add_argument("--keep-all", action="store_true", help="keep the folders of schedules that found nothing, too")
+                        help="folder that receives the folders of failed schedules. Default: chaos-failed")
+    parser.add_argument("--keep-all", action="store_true",
+                        help="also keep the folders of schedules without problems")
     parser.add_argument("--shrink", type=float, metavar="S", default=120.0,
-                        help="seconds spent on leaving faults out of the first failure (default: 120; 0: none)")
+                        help="time limit for the reduction of the first failure, in seconds; 0 for no "
+                             "reduction. Default: 120")
     return parser.parse_args()
 
 
@@ -83,16 +92,17 @@ def _schedules(arguments: argparse.Namespace) -> list[Schedule]:
 def _program() -> Path:
     root = Path(__file__).parents[2]
     named = os.environ.get("SIGHTLINE_BIN")
-    for path in [Path(named)] if named else [root / "target" / kind / "sightline" for kind in ("release", "debug")]:
+    built = [root / "target" / kind / "sightline" for kind in ("release", "debug")]
+    for path in [Path(named)] if named else built:
         if path.is_file():
             return path.resolve()
-    raise NoNamespaces("there is no program: build it (cargo build --workspace), or name it in SIGHTLINE_BIN")
+    raise NoNamespaces("the program does not exist; run cargo build --workspace, or name it in SIGHTLINE_BIN")
 
 
 def _needs() -> None:
-    """Tries what every schedule needs.
+    """Checks the requirements of all schedules.
 
-    Raises NoNamespaces with what this machine lacks.
+    Raises NoNamespaces with the missing requirement.
     """
     if os.geteuid() != 0:
         raise NoNamespaces("network namespaces need root")
@@ -101,13 +111,15 @@ def _needs() -> None:
             raise NoNamespaces(f"{tool} is not installed (scripts/setup.sh --for test)")
     if FAKETIME is None:
         raise NoNamespaces("faketime is not installed (scripts/setup.sh --for test)")
-    # Names of namespaces and what faketime shares are this command's alone, and go with it.
+    # A separate /run/netns and /dev/shm contain the names of namespaces and the shared data of faketime, and
+    # end with this command.
     for folder in ("/run/netns", "/dev/shm"):
         Path(folder).mkdir(exist_ok=True)
-        mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], capture_output=True, text=True, check=False)
+        mounted = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], capture_output=True, text=True,
+                                 check=False)
         if mounted.returncode != 0:
             raise NoNamespaces(mounted.stderr.strip())
-    # The calm runs speak with themselves.
+    # A calm run connects to itself through the loopback device.
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     space = Space("trial", 1)
     os.close(space.device)
@@ -115,9 +127,9 @@ def _needs() -> None:
 
 
 def _prepare(calm: Calm, schedules: list[Schedule]) -> None:
-    """Makes what the worlds of the schedules need beside the program.
+    """Creates the database, the bucket and the faulty Embree that the worlds of the schedules need.
 
-    Raises NoNamespaces with what this machine lacks.
+    Raises NoNamespaces with the missing requirement.
     """
     worlds = [named(schedule.world) for schedule in schedules]
     if any(world.store == "database" for world in worlds):
@@ -129,27 +141,35 @@ def _prepare(calm: Calm, schedules: list[Schedule]) -> None:
 
 
 def _report(outcome: Outcome) -> None:
+    """Prints the outcome of a schedule and its problems."""
     what = "FAILED" if outcome.problems else "ok"
-    print(f"seed {outcome.seed} {outcome.world}: {what}, {outcome.seconds:.1f} s, ended {outcome.healed:.1f} s after the last "
-          f"fault ({', '.join(outcome.faults)}), {outcome.packets} packets, {outcome.lost} lost"
-          f"{', ' if outcome.besides else ''}{outcome.besides}", flush=True)
+    print(f"seed {outcome.seed} {outcome.world}: {what} after {outcome.seconds:.1f} s, faults "
+          f"{', '.join(outcome.faults)}, jobs ended {outcome.healed:.1f} s after the last fault, "
+          f"{outcome.packets} packets, {outcome.lost} lost{', ' if outcome.besides else ''}{outcome.besides}",
+          flush=True)
     for problem in outcome.problems:
         print(f"  {problem}", flush=True)
 
 
 def _keep(arguments: argparse.Namespace, schedule: Schedule, folder: Path) -> Path:
-    """Keeps the folder of a schedule, without its keys, for it may be passed on."""
+    """Copies the folder of a schedule without keys, so that you can share the copy.
+
+    Returns the copy's path.
+    """
     kept = arguments.keep / f"{schedule.world}-{schedule.seed}"
     shutil.rmtree(kept, ignore_errors=True)
     kept.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copytree(folder, kept, ignore=shutil.ignore_patterns("keys", "disk"), ignore_dangling_symlinks=True)
+    shutil.copytree(folder, kept, ignore=shutil.ignore_patterns("keys", "disk"),
+                    ignore_dangling_symlinks=True)
     return kept
 
 
-def _failed(arguments: argparse.Namespace, calm: Calm, work: Path, schedule: Schedule, folder: Path, shrinking: float) -> None:
-    """Keeps the folder of a failure, and makes its schedule smaller."""
+def _failed(arguments: argparse.Namespace, calm: Calm, work: Path, schedule: Schedule, folder: Path,
+            shrinking: float) -> None:
+    """Keeps the folder of a failed schedule, and reduces the schedule."""
     kept = _keep(arguments, schedule, folder)
-    print(f"  kept in {kept}\n  again: scripts/chaos.sh --seed {schedule.seed} --world {schedule.world}", flush=True)
+    print(f"  stored in {kept}\n  repeat with: scripts/chaos.sh --seed {schedule.seed} "
+          f"--world {schedule.world}", flush=True)
     if shrinking <= 0.0:
         return
     tries = 0
@@ -164,19 +184,19 @@ def _failed(arguments: argparse.Namespace, calm: Calm, work: Path, schedule: Sch
 
     small = shrink(schedule, fails, shrinking)
     (kept / "smaller.json").write_text(small.dump())
-    print(f"  with {len(small.faults)} of {len(schedule.faults)} faults it still fails: scripts/chaos.sh --replay "
-          f"{kept / 'smaller.json'}", flush=True)
+    print(f"  {len(small.faults)} of {len(schedule.faults)} faults are sufficient for a failure; repeat "
+          f"with: scripts/chaos.sh --replay {kept / 'smaller.json'}", flush=True)
 
 
 def _self_check(calm: Calm, work: Path, bound: float) -> int:
-    """Whether each act of sabotage is found."""
+    """Runs a schedule for each injected defect. Returns 1 if the checks miss a defect, otherwise 0."""
     blind = 0
     for schedule in sabotage.schedules():
         act = schedule.faults[0].kind
         outcome = run(calm, schedule, work / act, bound)
         found = any(sabotage.ACTS[act].said in problem for problem in outcome.problems)
         blind += not found
-        print(f"{act}: {'found' if found else 'NOT FOUND'}", flush=True)
+        print(f"{act}: {'detected' if found else 'NOT DETECTED'}", flush=True)
         for problem in outcome.problems if not found else []:
             print(f"  {problem}", flush=True)
     return 1 if blind else 0
@@ -205,14 +225,16 @@ def main() -> int:
             print(f"chaos: cannot run here: {error}", file=sys.stderr)
             return 2
         for world in WORLDS:
-            of_world = [schedule.variants(len(world.variants)) for schedule in schedules if schedule.world == world.name]
+            of_world = [schedule.variants(len(world.variants)) for schedule in schedules
+                        if schedule.world == world.name]
             if of_world:
                 calm.prepare(world, set().union(*of_world))
         if arguments.self_check:
             return _self_check(calm, work, arguments.bound)
-        print(f"chaos: {len(schedules)} schedules, {arguments.jobs} at a time; calm runs took {time.monotonic() - began:.1f} s",
-              flush=True)
-        pool = ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1)
+        print(f"chaos: {len(schedules)} schedules, {arguments.jobs} at a time; the calm runs took "
+              f"{time.monotonic() - began:.1f} s", flush=True)
+        pool = ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn"),
+                                   max_tasks_per_child=1)
         shrinking = arguments.shrink
         with pool:
             running = {pool.submit(run, calm, schedule, work / f"run-{at}", arguments.bound): (at, schedule)
@@ -230,10 +252,9 @@ def main() -> int:
                 shutil.rmtree(work / f"run-{at}", ignore_errors=True)
     bad = sum(bool(outcome.problems) for outcome in outcomes)
     slowest = max((outcome.healed for outcome in outcomes), default=0.0)
-    print(f"chaos: {len(outcomes)} schedules with {sum(len(outcome.faults) for outcome in outcomes)} faults in "
-          f"{time.monotonic() - began:.0f} s, {bad} found something; the slowest job ended {slowest:.1f} s after the last fault; "
-          f"{sum(outcome.blobs_left for outcome in outcomes)} blobs are left "
-          f"that no job needs")
+    print(f"chaos: {len(outcomes)} schedules with {sum(len(outcome.faults) for outcome in outcomes)} faults "
+          f"in {time.monotonic() - began:.0f} s, {bad} failed; the slowest job ended {slowest:.1f} s after "
+          f"the last fault; {sum(outcome.blobs_left for outcome in outcomes)} blobs that no job needs remain")
     return 1 if bad else 0
 
 

@@ -1,9 +1,10 @@
-"""A balancer of TCP connections, as a process of its own: each goes to the first of some addresses that takes it.
+"""A balancer of TCP connections, as a separate process: forwards each connection to an address that accepts
+it.
 
     python3 -m chaos.balancer LISTEN PORT ADDRESS...
 
-It knows nothing of who leads, nor whether a coordinator that takes connections answers. Connections that are open end with
-those they lead to.
+The balancer alternates between the addresses. It does not detect the leader, or a coordinator that accepts
+connections and does not answer. If one side of a forwarded connection ends, the balancer ends the other side.
 """
 
 from __future__ import annotations
@@ -13,27 +14,28 @@ import socket
 import sys
 import threading
 
-# How long an address may take to accept a connection, in seconds.
+# The time limit for an address to accept a connection, in seconds.
 ACCEPTS = 1.0
 
 
 def _copy(source: socket.socket, target: socket.socket) -> None:
-    """Copies what one socket yields into the other until either ends, and ends both."""
+    """Copies the bytes of one socket to the other until one of them ends, and then ends both."""
     try:
         while part := source.recv(1 << 16):
             target.sendall(part)
     except OSError:
-        # Whoever is at the other end sees that as well.
+        # A socket is broken. The code below ends both.
         pass
     for one in (source, target):
         try:
             one.shutdown(socket.SHUT_RDWR)
         except OSError:
-            # It has ended already.
+            # The socket has already ended.
             pass
 
 
 def _join(client: socket.socket, port: int, addresses: list[str]) -> None:
+    """Connects a client with the first address that accepts, and copies bytes until the connection ends."""
     with client:
         for address in addresses:
             try:
@@ -52,12 +54,12 @@ def _join(client: socket.socket, port: int, addresses: list[str]) -> None:
 
 
 def main(listen: str, port: int, addresses: list[str]) -> None:
-    """Serves until it is killed."""
+    """Accepts and forwards connections until a signal ends the process."""
     with socket.create_server((listen, port), backlog=64) as listener:
         print(f"listening on {listen}:{port}", flush=True)
         for turn in itertools.count():
             client, _ = listener.accept()
-            # In turns, so that all of them are used.
+            # Each connection begins with the next address, so that all coordinators receive connections.
             first = turn % len(addresses)
             ordered = [*addresses[first:], *addresses[:first]]
             threading.Thread(target=_join, args=(client, port, ordered), daemon=True).start()

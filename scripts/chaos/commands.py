@@ -1,4 +1,4 @@
-"""What runs on each node of a farm: its name, its command, and its environment."""
+"""The name, the command and the environment of the process on each node of a farm."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ from typing import TYPE_CHECKING
 from . import liars
 from .nodes import BALANCER, BUCKET, COORDINATOR, DATABASE, SECOND
 from .services import Bucket, Database
+from .worlds import BACKEND
 
 if TYPE_CHECKING:
     from .farm import Farm
 
 PORT = 7600
-# The name of the worker that lies.
+# The name of the liar, the worker that returns wrong bytes.
 LIAR = "liar"
-# Debian's package faketime; none where it is not installed.
+# The library of Debian's package faketime, or None if the package is not installed.
 FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
 
-# A node's name and its command, and what its environment has beside that of all.
+# The name of a node, its command, and the variables that only this node has.
 Command = tuple[str, list[str], dict[str, str]]
 
 
 def of(farm: Farm, number: int) -> Command:
-    """The command of a node."""
+    """Returns the command of a node."""
     if number in farm.coordinators:
         return _coordinator(farm, number)
     if number == DATABASE and farm.database:
@@ -33,7 +34,8 @@ def of(farm: Farm, number: int) -> Command:
         return "bucket", farm.bucket.command(), {}
     if number == BALANCER:
         addresses = [farm.spaces[coordinator].address for coordinator in farm.coordinators]
-        return "balancer", [sys.executable, "-m", "chaos.balancer", farm.spaces[number].address, str(PORT), *addresses], {}
+        return "balancer", [sys.executable, "-m", "chaos.balancer", farm.spaces[number].address, str(PORT),
+                            *addresses], {}
     return _worker(farm, number)
 
 
@@ -44,7 +46,7 @@ def _coordinator(farm: Farm, number: int) -> Command:
     environment: dict[str, str] = {}
     if farm.keys:
         command += farm.keys.coordinator(pair=farm.database is not None)
-    # The way to the bucket is not encrypted either.
+    # Connections to the bucket are not encrypted.
     if not farm.keys or farm.bucket:
         command.append("--allow-plaintext")
     if farm.bucket:
@@ -52,7 +54,7 @@ def _coordinator(farm: Farm, number: int) -> Command:
         environment |= Bucket.environment()
     if farm.database:
         environment |= Database.environment()
-    # One clock of two is wrong.
+    # The clock faults affect only this coordinator. A second coordinator keeps the correct clock.
     if farm.has_clock and number == COORDINATOR:
         environment |= {
             "LD_PRELOAD": str(FAKETIME), "FAKETIME_TIMESTAMP_FILE": str(farm.clock), "NO_FAKE_STAT": "1",
@@ -65,9 +67,10 @@ def _worker(farm: Farm, number: int) -> Command:
     farm.restarts += 1
     lies = number in farm.liars
     name = f"worker-{number}"
-    # A liar that came back under another name would be let in again, as docs/security.md says.
+    # The liar keeps its name, because the coordinator would accept it again under another name
+    # (docs/security.md).
     called = LIAR if lies else name + ("" if farm.schedule.same_names else f"-{farm.restarts}")
-    command = [str(farm.calm.program), "worker", "--coordinator", farm.url, "--backend", "cpu", "--threads", "1",
-               "--name", called]
+    command = [str(farm.calm.program), "worker", "--coordinator", farm.url, "--backend", BACKEND,
+               "--threads", "1", "--name", called]
     command += farm.keys.worker(pair=farm.database is not None) if farm.keys else []
     return name, command, liars.environment(farm.calm.lying, farm.schedule.seed) if lies else {}

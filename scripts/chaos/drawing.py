@@ -1,6 +1,7 @@
-"""The faults, drawn one at a time: those that every farm has, and those of a farm with a database, a bucket or a liar.
+"""Random faults: the faults of all farms, and the faults of farms with a database, a bucket or a liar.
 
-A fault that needs what exists only at its time, such as a stored blob, has fractions that choose from what is there.
+Some faults need data that exists only at their time, such as a stored blob. These faults contain fractions
+that select from the data.
 """
 
 from __future__ import annotations
@@ -11,38 +12,40 @@ from dataclasses import dataclass, field, replace
 from .nodes import BUCKET, CLIENT, COORDINATOR, DATABASE, FIRST_WORKER, SECOND
 from .worlds import World
 
-# How often each kind of fault is drawn, in comparison with the others.
+# The relative frequency of each kind of fault.
 KINDS = {
     "kill": 6, "kill_at_commit": 5, "term": 2, "stop": 4, "weather": 6, "cut": 5, "unplug": 2,
     "disk_full": 3, "clock": 2, "flip": 3, "torn": 3,
 }
-# Those that leave the coordinator's process alone.
+# The kinds of faults that can leave the coordinator's process running.
 SPARING = ("kill", "stop", "weather", "cut")
-# What a fault of kind `flip` damages while all runs, and `torn` while the coordinator is down.
+# The data that a fault of the kind `flip` damages while all processes run, and that a fault of the kind
+# `torn` damages while the coordinator is down.
 FLIPPED = ("scene", "tile", "tile", "outcome")
 TORN = ("journal", "events", "view", "outcome")
-# How often the faults of one world alone are drawn there, in comparison with those of all.
+# The probability that a fault in a world with a database, a bucket or a liar is specific to the world.
 OWN = 0.55
-# The longest fault of an honest worker in a farm with a liar, in seconds: after ten without another worker who could check
-# a tile, the coordinator leaves it unchecked, and says so.
+# The maximum duration of a fault of an honest worker in a farm with a liar, in seconds. If no other worker
+# can check a tile for ten seconds, the coordinator leaves the tile unchecked and reports this.
 AWAY = 6.0
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong at a time and lasts. Times are seconds from the begin of the schedule."""
+    """A fault with its time, in seconds after the start of the schedule, and its duration in seconds."""
 
     at: float
     kind: str
     node: int
     lasts: float
-    # What else the kind needs; see faults.py.
+    # Additional parameters of the kind; see faults.py.
     details: dict[str, float | str] = field(default_factory=dict)
 
 
 def fault(rng: random.Random, world: World, workers: int, spare: bool) -> Fault:
-    """A fault of a world; with `spare` not of the coordinator's process."""
-    own = {"database": _of_database, "bucket": _of_bucket}.get(world.store) or (_of_liar if world.liar else None)
+    """Draws a fault for a world. With `spare`, the fault does not end or stop the coordinator's process."""
+    own = {"database": _of_database, "bucket": _of_bucket}.get(world.store)
+    own = own or (_of_liar if world.liar else None)
     if own and rng.random() < OWN:
         return own(rng)
     kinds = {kind: weight for kind, weight in KINDS.items() if not spare or kind in SPARING}
@@ -55,7 +58,7 @@ def fault(rng: random.Random, world: World, workers: int, spare: bool) -> Fault:
 
 
 def _of_either(rng: random.Random, drawn: Fault) -> Fault:
-    """The fault on one of two coordinators, whose records are in no files of theirs."""
+    """Moves a fault to one of two coordinators, and replaces damage of files that they do not have."""
     if drawn.node == COORDINATOR and drawn.kind not in ("kill_at_commit", "clock") and rng.random() < 0.5:
         drawn = replace(drawn, node=SECOND)
     if drawn.kind == "torn" and drawn.details["what"] in ("journal", "view"):
@@ -64,13 +67,14 @@ def _of_either(rng: random.Random, drawn: Fault) -> Fault:
 
 
 def _of_database(rng: random.Random) -> Fault:
-    """A fault of the database, of the way to it, or of one of the two coordinators."""
-    # Some before a job is there, most while jobs are done.
+    """Draws a fault of the database, of the connection to the database, or of one of the two coordinators."""
+    # Some of these times are before the first job, and most are during the jobs.
     at, shortly = round(rng.uniform(0.3, 7.0), 2), round(rng.uniform(0.1, 3.0), 2)
     either = rng.choice((COORDINATOR, SECOND))
-    # A leadership lives three seconds.
+    # A leadership is valid for three seconds, so the longer durations end it.
     long = round(rng.uniform(3.5, 9.0) if rng.random() < 0.4 else rng.uniform(0.3, 3.0), 2)
-    weights = {"restart": 5, "stop": 3, "slow": 2, "weather": 3, "cut": 4, "kill": 3, "kill_at_commit": 3, "halt": 3}
+    weights = {"restart": 5, "stop": 3, "slow": 2, "weather": 3, "cut": 4, "kill": 3, "kill_at_commit": 3,
+               "halt": 3}
     kind = rng.choices(list(weights), list(weights.values()))[0]
     match kind:
         case "restart":
@@ -85,22 +89,23 @@ def _of_database(rng: random.Random) -> Fault:
             details: dict[str, float | str] = {"way": rng.choice(("in", "out", "both", "both"))}
             if rng.random() < 0.25:
                 return Fault(at, kind, COORDINATOR, long, {**details, "peer": float(SECOND)})
-            # From both coordinators, or from one alone.
+            # The cut separates the database from one coordinator or from all nodes.
             if rng.random() < 0.7:
                 details["peer"] = float(either)
             return Fault(at, kind, DATABASE, long, details)
         case "kill":
             return Fault(at, kind, either, shortly)
         case "halt":
-            # A coordinator that goes on later, when another one leads.
+            # After a long stop, this coordinator continues while the other one leads.
             return Fault(at, "stop", either, long)
         case _:
             return Fault(at, kind, COORDINATOR, shortly,
-                         {"commits": float(rng.randrange(1, 9)), "after": rng.choice((0.0, 0.0, 0.001, 0.004))})
+                         {"commits": float(rng.randrange(1, 9)),
+                          "after": rng.choice((0.0, 0.0, 0.001, 0.004))})
 
 
 def _of_bucket(rng: random.Random) -> Fault:
-    """A fault of the object store or of the way to it."""
+    """Draws a fault of the object store, or of the connection to the object store."""
     at = round(rng.uniform(0.0, 5.0), 2)
     lasts = round(rng.uniform(6.0, 14.0) if rng.random() < 0.25 else rng.uniform(0.2, 4.0), 2)
     match rng.choices(("restart", "stop", "slow", "weather", "cut"), (5, 3, 2, 3, 4))[0]:
@@ -117,30 +122,32 @@ def _of_bucket(rng: random.Random) -> Fault:
 
 
 def _of_liar(rng: random.Random) -> Fault:
-    """A fault of the liar, or one that makes the coordinator forget what it only has in memory."""
+    """Draws a fault of the liar, or a restart of the coordinator, which loses the data in its memory."""
     at, shortly = round(rng.uniform(0.0, 5.0), 2), round(rng.uniform(0.1, 3.0), 2)
     kind = rng.choices(("kill", "stop", "cut", "term", "restart", "kill_at_commit"), (3, 3, 3, 2, 3, 3))[0]
     match kind:
         case "stop":
             return Fault(at, kind, FIRST_WORKER, round(rng.uniform(0.5, 14.0), 2))
         case "cut":
-            return Fault(at, kind, FIRST_WORKER, round(rng.uniform(0.5, 14.0), 2), {"way": rng.choice(("in", "out", "both"))})
+            return Fault(at, kind, FIRST_WORKER, round(rng.uniform(0.5, 14.0), 2),
+                         {"way": rng.choice(("in", "out", "both"))})
         case "restart":
             return Fault(at, "kill", COORDINATOR, shortly)
         case "kill_at_commit":
             return Fault(at, kind, COORDINATOR, shortly,
-                         {"commits": float(rng.randrange(1, 9)), "after": rng.choice((0.0, 0.0, 0.001, 0.004))})
+                         {"commits": float(rng.randrange(1, 9)),
+                          "after": rng.choice((0.0, 0.0, 0.001, 0.004))})
         case _:
             return Fault(at, kind, FIRST_WORKER, shortly)
 
 
 def _halting(rng: random.Random) -> dict[str, float | str]:
-    """How long a slow process is stopped and how long it runs, again and again."""
+    """Draws the times for which a slow process is stopped and for which it runs, alternately, in seconds."""
     return {"stopped": round(rng.uniform(0.05, 0.8), 3), "runs": round(rng.uniform(0.01, 0.1), 3)}
 
 
 def _late(rng: random.Random) -> dict[str, float | str]:
-    """Weather that is slow before all."""
+    """Draws weather with mainly long delays."""
     delay = round(rng.choice((0.05, 0.2, 0.8)) * rng.random(), 3)
     return {
         "delay": delay, "jitter": round(delay * rng.random(), 3),
@@ -152,7 +159,10 @@ def _late(rng: random.Random) -> dict[str, float | str]:
 
 
 def _of_kind(rng: random.Random, kind: str, workers: int, spare: bool) -> Fault:
-    """A fault of a kind that every farm has; with `spare` not of the coordinator's process."""
+    """Draws a fault of a kind that all farms have.
+
+    With `spare`, the fault does not end the coordinator's process.
+    """
     at = round(rng.uniform(0.0, 5.0), 2)
     worker = rng.randrange(FIRST_WORKER, FIRST_WORKER + workers)
     anybody = worker if spare or rng.random() < 0.5 else COORDINATOR
@@ -162,17 +172,19 @@ def _of_kind(rng: random.Random, kind: str, workers: int, spare: bool) -> Fault:
         case "kill" | "term":
             return Fault(at, kind, anybody, shortly)
         case "kill_at_commit":
-            # The so many-th growth of the journal from then on, and so much later.
+            # The number of the commit, counted from the time of the fault, and the delay after this commit in
+            # seconds.
             return Fault(at, kind, COORDINATOR, shortly,
                          {"commits": rng.randrange(1, 9), "after": rng.choice((0.0, 0.0, 0.001, 0.004))})
         case "stop":
-            # A lease lives ten seconds.
+            # A lease is valid for ten seconds, so the longer durations end it.
             lasts = round(rng.uniform(10.5, 15.0) if rng.random() < 0.25 else rng.uniform(0.5, 6.0), 2)
             return Fault(at, kind, anybody, lasts)
         case "weather":
             worst = rng.choice((0.02, 0.1, 0.3))
             details = {
-                "loss": round(rng.uniform(0.0, worst), 3), "delay": round(rng.choice((0.0, 0.02, 0.1, 0.5)) * rng.random(), 3),
+                "loss": round(rng.uniform(0.0, worst), 3),
+                "delay": round(rng.choice((0.0, 0.02, 0.1, 0.5)) * rng.random(), 3),
                 "duplicate": round(rng.choice((0.0, 0.1, 0.5)) * rng.random(), 3),
                 "reorder": round(rng.choice((0.0, 0.2, 0.5)) * rng.random(), 3),
                 "way": rng.choice(("in", "out", "both")),
@@ -196,9 +208,9 @@ def _of_kind(rng: random.Random, kind: str, workers: int, spare: bool) -> Fault:
             return Fault(at, kind, COORDINATOR, 0.0, {"what": rng.choice(FLIPPED), **_spot(rng)})
         case "torn":
             return Fault(at, kind, COORDINATOR, shortly, {"what": rng.choice(TORN), **_spot(rng)})
-    raise ValueError(f"no fault is called {kind}")
+    raise ValueError(f"unknown kind of fault: {kind}")
 
 
 def _spot(rng: random.Random) -> dict[str, float | str]:
-    """Which file, which byte of it, and which bit."""
+    """Draws the place of a damage: the file and the byte as fractions, and the number of the bit."""
     return {"file": round(rng.random(), 6), "byte": round(rng.random(), 6), "bit": rng.randrange(8)}

@@ -1,5 +1,7 @@
-"""A farm: coordinators and what they rely on, workers and a client, each in a namespace of its own, kept running like a
-service manager does."""
+"""A farm: coordinators and their services, workers and a client, each in a separate network namespace.
+
+The farm restarts processes that end by themselves, like a service manager.
+"""
 
 from __future__ import annotations
 
@@ -22,21 +24,21 @@ from .spaces import Space
 from .switch import Switch
 from .worlds import Calm, named
 
-# A node that has ended by itself is started again after this time, in seconds.
+# The delay before the farm restarts a process that ended by itself, in seconds.
 AGAIN = 0.5
-# A client's call that takes longer is ended and tried again.
+# The time limit of a client's call, in seconds.
 CALL = 15.0
-# What a service says once it takes connections, and how long that may take, in seconds.
+# The texts that a service prints when it accepts connections, and the time limit for its start, in seconds.
 READY = ("listening on", "ready to accept connections")
 STARTS = 60.0
-# What a coordinator of two says when it begins to lead.
+# The text that one of two coordinators prints when it begins to lead.
 LEADS = "this coordinator leads"
-# So much of the end of a log tells why its process has ended, in bytes.
+# The length of the end of a log that a report contains, in bytes.
 END = 4000
 
 
 class Farm:
-    """All processes of a schedule. Its methods may be called from several threads."""
+    """All processes of a schedule. Several threads may call the methods at a time."""
 
     def __init__(self, calm: Calm, schedule: Schedule, folder: Path) -> None:
         self.calm = calm
@@ -52,18 +54,18 @@ class Farm:
         self.coordinators = (COORDINATOR, SECOND) if has_database else (COORDINATOR,)
         self.database = Database(calm.database, f"chaos-{os.getpid()}") if has_database else None
         self.bucket = Bucket(calm.program, self.disk.bucket, schedule.seed) if has_bucket else None
-        # Workers that return wrong bytes.
+        # The workers that return wrong bytes.
         self.liars = {FIRST_WORKER} if self.world.liar else set()
         self.scenes: set[str] = set()
-        # Kinds of files in which a bit was turned over.
+        # The kinds of files in which a fault flipped a bit.
         self.damaged: set[str] = set()
-        # What ended by itself: the node, its exit code, and the end of its log.
+        # The processes that ended by themselves: name, exit code, and end of the log.
         self.endings: list[tuple[str, int, str]] = []
         self.arguments: set[str] = set()
         self.restarts = 0
         self._lock = threading.RLock()
         self._nodes: dict[int, Process] = {}
-        # How many faults keep a node down.
+        # The number of faults that keep each node down.
         self._down: dict[int, int] = {}
         self._since: dict[int, float] = {}
         self.clock = folder / "clock"
@@ -77,48 +79,52 @@ class Farm:
         self.switch.start()
 
     def workers(self) -> range:
-        """The numbers of the workers."""
+        """Returns the numbers of the workers."""
         return range(FIRST_WORKER, FIRST_WORKER + self.schedule.workers)
 
     @property
     def shares_tiles(self) -> bool:
-        """Whether workers help with tiles of others, as they do with those of lines."""
+        """True if workers help with the tiles of other workers, which happens only with the sampler for
+        lines."""
         return self.world.calm in ("lines", "crew")
 
     def note(self, text: str) -> None:
-        """A line in the schedule's own log."""
+        """Writes a line to the log of the schedule."""
         with self._lock, (self.logs / "schedule.log").open("a") as log:
             log.write(f"{time.monotonic() - self.began:8.3f} {text}\n")
 
     def start(self) -> None:
-        """Starts all nodes, first what the coordinators rely on."""
+        """Starts all nodes: first the services that the coordinators need, then coordinators and workers."""
         for number in self.services:
             self._start(number)
         for number in self.services:
             process = self._nodes[number]
             if not wait_until(lambda: any(word in process.said() for word in READY), STARTS):
-                raise RuntimeError(f"{process.name} does not start:\n{process.said()[-END:]}")
+                raise RuntimeError(f"{process.name} is not ready after {STARTS} s:\n{process.said()[-END:]}")
         for number in [*self.coordinators, *self.workers()]:
             self._start(number)
 
     @property
     def url(self) -> str:
-        """Where workers and clients call."""
+        """The address that workers and clients call."""
         at = BALANCER if self.database else COORDINATOR
         return f"{'https' if self.keys else 'http'}://{self.spaces[at].address}:{PORT}"
 
     def secrets(self) -> list[bytes]:
-        """What may be in no log, argument list or file but those of keys."""
+        """Returns the secrets, which logs, argument lists and files other than the files of keys must not
+        contain."""
         found = self.keys.secrets() if self.keys else []
-        return found + ([PASSWORD.encode()] if self.database else []) + ([SECRET.encode()] if self.bucket else [])
+        of_services = ([PASSWORD.encode()] if self.database else []) + ([SECRET.encode()] if self.bucket else [])
+        return found + of_services
 
     def leader(self) -> int:
-        """The coordinator that began to lead as the last one, as far as the logs tell."""
-        begun = [number for number in self.coordinators if number in self._nodes and LEADS in self._nodes[number].said()]
+        """Returns the coordinator that started last, of the coordinators whose logs report a leadership."""
+        begun = [number for number in self.coordinators if number in self._nodes
+                 and LEADS in self._nodes[number].said()]
         return max(begun, key=lambda number: self._nodes[number].began, default=COORDINATOR)
 
     def written(self) -> int:
-        """A number that changes when records are written."""
+        """Returns a number that grows when a coordinator writes records."""
         if self.database:
             return self.database.written()
         try:
@@ -127,6 +133,7 @@ class Farm:
             return 0
 
     def _environment(self) -> dict[str, str]:
+        """Returns the environment of all processes."""
         environment = {name: value for name, value in os.environ.items() if not name.startswith("SIGHTLINE_")}
         environment["XDG_CACHE_HOME"] = str(self.folder / "cache")
         environment["RUST_BACKTRACE"] = "1"
@@ -135,27 +142,30 @@ class Farm:
         return environment
 
     def _start(self, number: int) -> None:
+        """Starts the process of a node."""
         name, command, more = commands.of(self, number)
         environment = {**self._environment(), **more}
-        self._nodes[number] = Process(name, self.spaces[number], command, self.logs / f"{name}.log", environment)
+        self._nodes[number] = Process(name, self.spaces[number], command, self.logs / f"{name}.log",
+                                      environment)
 
     def coordinator(self) -> Process | None:
+        """Returns the process of the first coordinator, or None while it is down."""
         return self._nodes.get(COORDINATOR)
 
     def send(self, number: int, what: signal.Signals, whole: bool = False) -> None:
-        """Sends a signal to a node, also to its children if the whole of it is meant."""
+        """Sends a signal to a node. With `whole`, also sends the signal to its child processes."""
         with self._lock:
             if number in self._nodes:
                 self._nodes[number].send(what, whole)
 
     def take_down(self, number: int, gently: signal.Signals | None = None) -> None:
-        """Kills a node, or asks it to end with a signal, and keeps it down until `let_up`."""
+        """Kills a node, or ends it with the signal `gently`, and keeps it down until `let_up`."""
         with self._lock:
             self._down[number] = self._down.get(number, 0) + 1
             process = self._nodes.get(number)
             if process:
                 self.arguments.add(process.arguments())
-                # A stopped process does not hear of the wish.
+                # A stopped process does not handle signals, so kill it.
                 if gently and not process.stopped:
                     process.send(gently)
                 else:
@@ -163,18 +173,18 @@ class Farm:
                     del self._nodes[number]
 
     def let_up(self, number: int) -> None:
-        """Ends one `take_down`; with the last one the node starts again."""
+        """Ends one `take_down`. At the end of the last one, the node starts again."""
         with self._lock:
             self._down[number] -= 1
             if self._down[number] == 0:
                 process = self._nodes.pop(number, None)
                 if process and process.runs():
-                    self.note(f"{process.name} had not ended when it was to start again")
+                    self.note(f"{process.name} did not end before its restart")
                     process.kill()
                 self._start(number)
 
     def tend(self) -> None:
-        """Starts again what has ended by itself, a moment later."""
+        """Restarts processes that ended by themselves, after a short delay."""
         with self._lock:
             for number, process in list(self._nodes.items()):
                 code = process.code()
@@ -183,13 +193,13 @@ class Farm:
                 elif number not in self._since:
                     self._since[number] = time.monotonic()
                     self.endings.append((process.name, code, process.said()[-END:]))
-                    self.note(f"{process.name} has ended by itself with {code}")
+                    self.note(f"{process.name} ended by itself with exit code {code}")
                 elif time.monotonic() - self._since[number] > AGAIN:
                     del self._since[number]
                     self._start(number)
 
     def step_clock(self, seconds: float, back: bool = False) -> None:
-        """Steps the coordinator's wall clock, or takes that back."""
+        """Adds seconds to the coordinator's wall clock. With `back`, reverts an earlier change."""
         with self._lock:
             if back:
                 self._steps.remove(seconds)
@@ -198,7 +208,7 @@ class Farm:
             self.clock.write_text(f"{sum(self._steps):+}\n")
 
     def call(self, words: list[str], limit: float = CALL) -> tuple[int, str, str]:
-        """Runs `sightline WORDS` in the client's namespace: its code, stdout and stderr."""
+        """Runs `sightline WORDS` in the client's namespace. Returns the exit code, stdout and stderr."""
         credentials = self.keys.client() if self.keys else []
         command = [str(self.calm.program), *words, "--coordinator", self.url, *credentials]
         code, out, err = run(self.spaces[CLIENT].within(command), self._environment(), limit, self.folder)
@@ -207,16 +217,16 @@ class Farm:
         return code, out, err
 
     def call_alone(self, words: list[str]) -> tuple[int, str, str]:
-        """Runs `sightline WORDS`, which needs no coordinator."""
+        """Runs `sightline WORDS` without a coordinator. Returns the exit code, stdout and stderr."""
         return run([str(self.calm.program), *words], self._environment(), 60.0, self.folder)
 
     def ask(self, words: list[str]) -> Any:
-        """What `sightline WORDS --json` prints; none when it fails."""
+        """Returns the JSON output of `sightline WORDS --json`, or None if the call fails."""
         code, out, _ = self.call([*words, "--json"])
         return json.loads(out) if code == 0 else None
 
     def end(self) -> list[str]:
-        """Asks workers, then the coordinator, to end; says what did not do so."""
+        """Ends first the workers and then the coordinators with SIGTERM. Returns the problems."""
         wrong = []
         with self._lock:
             workers = [self._nodes[number] for number in self.workers() if number in self._nodes]
@@ -227,10 +237,10 @@ class Farm:
                     process.send(signal.SIGTERM)
                 for process in group:
                     if not process.ended_within(30.0):
-                        wrong.append(f"{process.name} does not end within 30 s of SIGTERM")
+                        wrong.append(f"{process.name} did not end within 30 s after SIGTERM")
                         process.kill()
                     elif process.code() != 0:
-                        wrong.append(f"{process.name} ends with {process.code()} after SIGTERM")
+                        wrong.append(f"{process.name} ended with exit code {process.code()} after SIGTERM")
             for number in self.services:
                 if number in self._nodes:
                     self._nodes[number].kill()
@@ -238,7 +248,7 @@ class Farm:
         return wrong
 
     def remove(self) -> None:
-        """Takes down what is left, and the network and the disk."""
+        """Kills remaining processes, and removes the network and the disk."""
         with self._lock:
             for process in self._nodes.values():
                 process.kill()

@@ -1,4 +1,4 @@
-"""The faults: how each kind begins, and how it ends."""
+"""Injection of faults: for each kind, a function that begins a fault and returns a function that ends it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from .nodes import COORDINATOR, SECOND
 from .switch import Weather
 
 Undo = Callable[[], None]
-# How long a kill at a commit waits for the commit, and a flipped bit for a file, in seconds. Then the coordinator is
-# killed without a commit, and nothing is flipped.
+# The time limit for the commit of `kill_at_commit` and for the file of `flip`, in seconds. After this time,
+# `kill_at_commit` kills the coordinator without a commit, and `flip` has no effect.
 WAIT = 4.0
 
 
 def begin(farm: Farm, fault: Fault) -> Undo:
-    """Begins a fault; what is returned ends it."""
+    """Begins a fault. Returns the function that ends it."""
     farm.note(f"begins: {fault}")
     return BEGIN[fault.kind](farm, fault)
 
 
 def duration(fault: Fault) -> float:
-    """Seconds from the begin to the end of a fault."""
+    """Returns the maximum time from the start to the end of a fault, in seconds."""
     return fault.lasts + (WAIT if fault.kind in ("kill_at_commit", "flip") else 0.0)
 
 
@@ -40,8 +40,8 @@ def _term(farm: Farm, fault: Fault) -> Undo:
     return lambda: farm.let_up(fault.node)
 
 
-# The ways to end a database: without waiting for those who are connected, without writing down what is in memory, and
-# without its knowledge.
+# The signals that end a database: SIGINT does not wait for clients, SIGQUIT does not write data from memory,
+# and None stands for SIGKILL.
 ENDS = {"fast": signal.SIGINT, "immediate": signal.SIGQUIT, "killed": None}
 
 
@@ -59,7 +59,7 @@ def _kill_at_commit(farm: Farm, fault: Fault) -> Undo:
             before = now
             time.sleep(0.0003)
         time.sleep(float(fault.details["after"]))
-        # Of two the one that commits.
+        # Of two coordinators, only the leader commits.
         node = farm.leader() if farm.database else COORDINATOR
         farm.take_down(node)
         farm.note(f"killed coordinator {node} after {grown} commits")
@@ -72,7 +72,8 @@ def _kill_at_commit(farm: Farm, fault: Fault) -> Undo:
 
 
 def _stop(farm: Farm, fault: Fault) -> Undo:
-    # A database whose first process alone is stopped answers those who are connected, and nobody else.
+    # If only the first process of a database is stopped, the database answers connected clients and accepts
+    # no others.
     whole = fault.details.get("whole", "yes") == "yes"
     farm.send(fault.node, signal.SIGSTOP, whole)
     return lambda: farm.send(fault.node, signal.SIGCONT, whole=True)
@@ -93,7 +94,10 @@ def _slow(farm: Farm, fault: Fault) -> Undo:
 
 
 def _over_ways(farm: Farm, fault: Fault, weather: Weather) -> Undo:
-    """Weather on the packets to a node, from it, or both; between it and another one alone where that is named."""
+    """Adds weather to the packets to a node, from a node, or both.
+
+    With the detail `peer`, only between two nodes.
+    """
     way, others = fault.details["way"], [number for number in farm.spaces if number != fault.node]
     if "peer" in fault.details:
         others = [int(fault.details["peer"])]
@@ -148,12 +152,12 @@ def _flip(farm: Farm, fault: Fault) -> Undo:
 def _torn(farm: Farm, fault: Fault) -> Undo:
     farm.take_down(fault.node)
     if not _damage(farm, fault):
-        farm.note(f"there is no {fault.details['what']} to damage")
+        farm.note(f"no file of the kind {fault.details['what']} exists, so no file is damaged")
     return lambda: farm.let_up(fault.node)
 
 
 def _damage(farm: Farm, fault: Fault) -> bool:
-    """Damages a file and notes which; false when there is none of its kind."""
+    """Damages a file and writes its name to the log. Returns false if no file of the kind exists."""
     what, spot = str(fault.details["what"]), float(fault.details["byte"])
     if what == "journal":
         farm.note(disk.leave_unfinished(farm.disk.journal, spot))
@@ -167,11 +171,12 @@ def _damage(farm: Farm, fault: Fault) -> bool:
     done = chosen and disk.flip(chosen, spot, int(fault.details["bit"]))
     if done:
         farm.damaged.add(what)
-        farm.note(f"turned over {done} ({what})")
+        farm.note(f"flipped {done} ({what})")
     return bool(done)
 
 
 BEGIN: dict[str, Callable[[Farm, Fault], Undo]] = {
-    "kill": _kill, "kill_at_commit": _kill_at_commit, "term": _term, "stop": _stop, "weather": _weather, "cut": _cut,
-    "unplug": _unplug, "restart": _restart, "slow": _slow, "disk_full": _disk_full, "clock": _clock, "flip": _flip, "torn": _torn,
+    "kill": _kill, "kill_at_commit": _kill_at_commit, "term": _term, "stop": _stop, "weather": _weather,
+    "cut": _cut, "unplug": _unplug, "restart": _restart, "slow": _slow, "disk_full": _disk_full,
+    "clock": _clock, "flip": _flip, "torn": _torn,
 }

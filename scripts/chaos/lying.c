@@ -1,9 +1,10 @@
-/* An Embree that does not see some triangles: rays pass those whose number leaves 1 when it is divided by the number in
- * LYING_MODULUS. A worker that has it is sound in all else, and its outputs are well-formed and wrong.
+/* A faulty Embree that ignores some triangles: triangles whose number has the remainder 1 after a division by
+ * the variable LYING_MODULUS. A worker with this library returns well-formed outputs with wrong sets.
  *
- * REAL is the path of the true library, MAJOR its version, 3 or 4: their two query functions differ. All else is passed on.
- * The functions that pass on have six arguments of the size of a pointer; fewer, and smaller ones, arrive unchanged by the
- * calling conventions of x86-64 and of AArch64.
+ * REAL is the path of the real library, and MAJOR is its version, 3 or 4, because the two versions have
+ * different query functions. This library forwards all other functions. A forwarding function has six
+ * arguments of the size of a pointer. With the calling conventions of x86-64 and AArch64, fewer and smaller
+ * arguments also arrive unchanged.
  */
 #include <dlfcn.h>
 #include <math.h>
@@ -16,9 +17,10 @@ typedef uintptr_t word;
 typedef word (*function)(word, word, word, word, word, word);
 
 #define FORWARDED(X) \
-  X(rtcNewDevice) X(rtcReleaseDevice) X(rtcGetDeviceProperty) X(rtcGetDeviceError) X(rtcNewScene) X(rtcReleaseScene) \
-  X(rtcSetSceneFlags) X(rtcCommitScene) X(rtcAttachGeometry) X(rtcNewGeometry) X(rtcReleaseGeometry) \
-  X(rtcSetNewGeometryBuffer) X(rtcCommitGeometry) X(rtcSetGeometryUserData) X(rtcSetGeometryIntersectFilterFunction)
+  X(rtcNewDevice) X(rtcReleaseDevice) X(rtcGetDeviceProperty) X(rtcGetDeviceError) X(rtcNewScene) \
+  X(rtcReleaseScene) X(rtcSetSceneFlags) X(rtcCommitScene) X(rtcAttachGeometry) X(rtcNewGeometry) \
+  X(rtcReleaseGeometry) X(rtcSetNewGeometryBuffer) X(rtcCommitGeometry) X(rtcSetGeometryUserData) \
+  X(rtcSetGeometryIntersectFilterFunction)
 
 #define FORWARD(name) \
   static function real_##name; \
@@ -41,7 +43,8 @@ __attribute__((constructor)) static void begin(void) {
   void *library = dlopen(REAL, RTLD_NOW | RTLD_LOCAL);
   const char *text = getenv("LYING_MODULUS");
   if (!library || !text || (modulus = (uint32_t)strtoul(text, NULL, 10)) < 2) {
-    fprintf(stderr, "lying Embree: %s, LYING_MODULUS: %s\n", library ? REAL : dlerror(), text ? text : "not set");
+    fprintf(stderr, "lying Embree: %s, LYING_MODULUS: %s\n", library ? REAL : dlerror(),
+            text ? text : "not set");
     abort();
   }
 #define FIND(name) real_##name = find(library, #name);
@@ -50,8 +53,8 @@ __attribute__((constructor)) static void begin(void) {
   FIND(rtcIntersect1)
 }
 
-/* Takes back the hits of N rays on triangles that are not seen. Rows of a ray and its hit, of N words each: tfar is the
- * ninth, the triangle the eighteenth and the geometry the nineteenth. */
+/* Removes the hits of n rays on ignored triangles. A packet of rays consists of rows of n words. Counted from
+ * 0, row 8 is tfar, row 17 is the triangle, and row 18 is the geometry. */
 static void blind(uint32_t *ray, const float *tfar, size_t n) {
   for (size_t i = 0; i < n; i++) {
     uint32_t *prim = &ray[17 * n + i], *geom = &ray[18 * n + i];
@@ -62,8 +65,8 @@ static void blind(uint32_t *ray, const float *tfar, size_t n) {
   }
 }
 
-/* Embree 3: valid, scene, context, ray; scene, context, ray. Embree 4: valid, scene, ray, arguments; scene, ray,
- * arguments. */
+/* The arguments of the query functions. Embree 3: (valid, scene, context, ray) and (scene, context, ray).
+ * Embree 4: (valid, scene, ray, arguments) and (scene, ray, arguments). */
 void rtcIntersect16(word a, word b, word c, word d, word e, word f) {
   uint32_t *ray = (uint32_t *)(MAJOR == 3 ? d : c);
   float tfar[16];

@@ -1,14 +1,15 @@
-"""Who takes part in a farm, by numbers, which are also the last bytes of their addresses."""
+"""The numbers of a farm's nodes. The number of a node is also the last byte of its address."""
 
 from __future__ import annotations
 
 COORDINATOR = 1
-# Workers are numbered from here; in a farm with a liar it is the first of them.
+# The number of the first worker. In a farm with a liar, the first worker is the liar.
 FIRST_WORKER = 2
 CLIENT = 100
-# The other coordinator of a farm with a database, the database, and the balancer before both coordinators.
+# The nodes of a farm with a database: the second coordinator, the database, and the balancer of both
+# coordinators.
 SECOND = 101
 DATABASE = 102
 BALANCER = 103
-# The object store of a farm whose blobs are in a bucket.
+# The object store of a farm with a bucket.
 BUCKET = 104

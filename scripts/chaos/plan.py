@@ -1,4 +1,7 @@
-"""Schedules: what is done to a farm and when, drawn from a seed alone, written and read as JSON."""
+"""Schedules: the errands and faults of a farm with their times.
+
+A seed determines a schedule. The format is JSON.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from .worlds import WORLDS, named
 
 @dataclass(frozen=True)
 class Errand:
-    """Something that a client asks for, until it is acknowledged: submit, pause, cancel."""
+    """A request that a client repeats until the coordinator acknowledges it: submit, pause or cancel."""
 
     at: float
     kind: str
@@ -22,39 +25,41 @@ class Errand:
 
 @dataclass(frozen=True)
 class Schedule:
-    """A farm and all that happens to it."""
+    """A farm with its errands and faults."""
 
     seed: int
     world: str
     workers: int
-    # Encryption, workers' certificates and tokens.
+    # True if the farm uses encryption, workers' certificates and tokens.
     closed: bool
-    # A worker that is started again takes its name again.
+    # True if a restarted worker has the same name as before.
     same_names: bool
-    # Ask for the log in detail, where secrets would be seen sooner.
+    # True for detailed logs, which are more likely to contain a secret by mistake.
     talkative: bool
-    # Rounds on one coordinator, which is not killed, to see whether it grows; 1 for schedules of all faults.
+    # The number of jobs that one coordinator computes without a restart, to check its memory and open files.
+    # With 1, the schedule may contain all kinds of faults.
     rounds: int
     errands: tuple[Errand, ...]
     faults: tuple[Fault, ...]
 
     def without(self, number: int) -> Schedule:
-        """The schedule without its fault of that number."""
+        """Returns the schedule without the fault with this number."""
         return replace(self, faults=(*self.faults[:number], *self.faults[number + 1:]))
 
     def variants(self, of_world: int) -> set[int]:
-        """The variants of the jobs of a schedule, whose world has so many."""
+        """Returns the variants of the schedule's jobs with results, for a world with `of_world` variants."""
         if self.rounds > 1:
             return set(range(min(self.rounds, of_world)))
         # A cancelled job has no result.
         return {errand.variant for errand in self.errands if errand.kind != "cancel"}
 
     def dump(self) -> str:
+        """Returns the schedule as JSON."""
         return json.dumps(asdict(self), indent=1)
 
     @staticmethod
     def load(text: str) -> Schedule:
-        """Reads what `dump` has written.
+        """Reads a schedule from the JSON text of `dump`.
 
         Raises TypeError, KeyError or ValueError for other text.
         """
@@ -65,7 +70,7 @@ class Schedule:
 
 
 def draw(seed: int, world: str | None = None) -> Schedule:
-    """The schedule of a seed, in the world given or in one that is drawn."""
+    """Returns the schedule of a seed, in the given world or in a random world."""
     rng = random.Random(f"schedule {seed}")
     drawn = rng.choices(WORLDS, [w.weight for w in WORLDS])[0].name
     workers = rng.choice((2, 3, 3, 4))
@@ -73,18 +78,20 @@ def draw(seed: int, world: str | None = None) -> Schedule:
     rounds = 5 if rng.random() < 0.06 else 1
     chosen = named(world or drawn)
     if chosen.store == "database" or chosen.liar:
-        # Which of two coordinators lives on is not known before, and what a liar did is computed again in jobs of before.
+        # With two coordinators, either can lead, so no single process can be measured. With a liar, workers
+        # compute tiles of earlier jobs again.
         rounds = 1
     if chosen.liar:
-        # Two who agree when a third one is away.
+        # With four workers, two honest workers can agree while a third one is down.
         workers = 4
     errands = [Errand(0.0, "submit", 0)]
     if rounds == 1:
-        # One after the other, so that there is always work that can be disturbed.
+        # The jobs start one after the other, so that a job runs at the time of each fault.
         errands += [Errand(round(rng.uniform(at, at + 1.0), 2), "submit", at + 1) for at in range(3)]
         if rng.random() < 0.4:
             errands.append(Errand(round(rng.uniform(0.5, 4.0), 2), rng.choice(("pause", "cancel")), 4))
-    # In a schedule of many rounds the same process has to be there at the end.
+    # In a schedule with several rounds, faults must not end the coordinator's process.
     faults = [drawing.fault(rng, chosen, workers, spare=rounds > 1) for _ in range(rng.randrange(3, 9))]
     faults.sort(key=lambda fault: fault.at)
-    return Schedule(seed, chosen.name, workers, closed, same_names, talkative, rounds, tuple(errands), tuple(faults))
+    return Schedule(seed, chosen.name, workers, closed, same_names, talkative, rounds, tuple(errands),
+                    tuple(faults))

@@ -1,4 +1,4 @@
-"""Processes of the program under test: started in their namespace, signalled by number, logged to a file."""
+"""Processes of the program under test: start in a namespace, signals, and logs in files."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from .spaces import Space
 
 
 class Process:
-    """A process that runs until it is ended or ends by itself."""
+    """A process of a node, with its log."""
 
-    def __init__(self, name: str, space: Space, command: list[str], log: Path, environment: dict[str, str]) -> None:
+    def __init__(self, name: str, space: Space, command: list[str], log: Path,
+                 environment: dict[str, str]) -> None:
         self.name = name
         self.stopped = False
         self.log = log
         self.began = time.monotonic()
         with log.open("ab") as out:
-            # What earlier processes of the node have said is before.
+            # The log already contains the output of earlier processes of the node.
             self._from = out.tell()
             out.write(f"== {' '.join(command)}\n".encode())
             out.flush()
@@ -32,14 +33,15 @@ class Process:
         return self._child.pid
 
     def code(self) -> int | None:
-        """The exit code of a process that has ended; -N after signal N."""
+        """Returns the exit code, -N after signal N, or None while the process runs."""
         return self._child.poll()
 
     def runs(self) -> bool:
+        """Returns true if the process has not ended."""
         return self.code() is None
 
     def send(self, number: signal.Signals, whole: bool = False) -> None:
-        """Sends a signal, also to its children if the whole of it is meant; a process that has ended needs none."""
+        """Sends a signal if the process runs. With `whole`, also sends the signal to its child processes."""
         children = self._children() if whole else []
         if self.runs():
             self._child.send_signal(number)
@@ -49,22 +51,24 @@ class Process:
             try:
                 os.kill(child, number)
             except ProcessLookupError:
-                # It has ended meanwhile.
+                # The child process has ended.
                 continue
 
     def _children(self) -> list[int]:
+        """Returns the numbers of the child processes."""
         try:
-            return [int(pid) for pid in Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()]
+            return [int(pid)
+                    for pid in Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()]
         except OSError:
             return []
 
     def kill(self) -> None:
-        """Kills it and its children, and waits until it is gone."""
+        """Kills the process and its child processes, and waits for the end of the process."""
         self.send(signal.SIGKILL, whole=True)
         self._child.wait()
 
     def ended_within(self, seconds: float) -> bool:
-        """Waits for the end."""
+        """Waits for the end of the process. Returns false if it still runs after this time."""
         try:
             self._child.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -72,43 +76,48 @@ class Process:
         return True
 
     def arguments(self) -> str:
-        """The argument list as the system shows it to everybody."""
+        """Returns the argument list, which all users of the machine can read."""
         try:
-            return Path(f"/proc/{self.pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            arguments = Path(f"/proc/{self.pid}/cmdline").read_bytes()
+            return arguments.replace(b"\0", b" ").decode(errors="replace")
         except OSError:
             return ""
 
     def said(self) -> str:
-        """What it has written to its log."""
+        """Returns the text that the process has written to its log."""
         with self.log.open("rb") as log:
             log.seek(self._from)
             return log.read().decode(errors="replace")
 
     def handles(self) -> int:
-        """Open file descriptors."""
+        """Returns the number of open file descriptors."""
         return len(os.listdir(f"/proc/{self.pid}/fd"))
 
     def resident(self) -> int:
-        """Bytes of memory in use."""
+        """Returns the resident memory, in bytes."""
         pages = int(Path(f"/proc/{self.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def run(command: list[str], environment: dict[str, str], limit: float, folder: Path) -> tuple[int, str, str]:
-    """Runs a command to its end: its code, -9 when it took too long, stdout and stderr."""
-    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    """Runs a command.
+
+    Returns its exit code, or -9 after the time limit in seconds, and its stdout and stderr.
+    """
+    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                             stderr=subprocess.PIPE,
                              env=environment, cwd=folder, text=True, errors="replace")
     try:
         out, err = child.communicate(timeout=limit)
     except subprocess.TimeoutExpired:
         child.kill()
         out, err = child.communicate()
-        return -9, out, f"{err}(took longer than {limit} s)"
+        return -9, out, f"{err}(still running after {limit} s)"
     return child.returncode, out, err
 
 
 def wait_until(look, limit: float, every: float = 0.05) -> bool:
-    """Looks until `look()` is true; false when that takes too long."""
+    """Calls `look` repeatedly until it returns true. Returns false after the time limit in seconds."""
     until = time.monotonic() + limit
     while not look():
         if time.monotonic() > until:

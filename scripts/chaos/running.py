@@ -1,4 +1,4 @@
-"""One schedule from its calm begin to the checks after its end."""
+"""The execution of a schedule, from the start of its farm to the checks after its end."""
 
 from __future__ import annotations
 
@@ -17,36 +17,38 @@ from .farm import Farm
 from .plan import Errand, Schedule
 from .worlds import Calm
 
-# How much more memory and how many more handles a coordinator may have after its last round than after its second.
+# The maximum growth of a coordinator's memory, in bytes, and of its open files, from the second to the last
+# round.
 MORE_MEMORY = 32 << 20
 MORE_HANDLES = 8
-# Connections whose other end has vanished are noticed after this many seconds.
+# The time after which a coordinator closes connections to vanished clients, in seconds.
 QUIET = 45.0
-# A scene that may be damaged is sent again so often, in seconds: all jobs of a schedule have the same.
+# The time between two uploads of a scene that may be damaged, in seconds. All jobs of a schedule have the
+# same scene.
 SEND = 4.0
 
 
 @dataclass
 class Outcome:
-    """What came of a schedule."""
+    """The outcome of a schedule."""
 
     seed: int
     world: str
     problems: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    # From the end of the last fault to the end of the last job.
+    # The time from the end of the last fault to the end of the last job, in seconds.
     healed: float = 0.0
     faults: list[str] = field(default_factory=list)
-    # Blobs that no job needs any more.
+    # The number of remaining blobs that no job needs.
     blobs_left: int = 0
     packets: int = 0
     lost: int = 0
-    # What only some worlds have: how often a coordinator began to lead, and whether a liar was found.
+    # Additional text in some worlds: the number of leaderships, or the detection of the liar.
     besides: str = ""
 
 
 def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
-    """Runs a schedule in `folder`, whose jobs must end within `bound` seconds after the last fault."""
+    """Runs a schedule in `folder`. The jobs must end within `bound` seconds after the last fault."""
     outcome = Outcome(schedule.seed, schedule.world, faults=[fault.kind for fault in schedule.faults])
     began = time.monotonic()
     folder.mkdir(parents=True)
@@ -61,7 +63,7 @@ def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
         outcome.problems += farm.end()
         outcome.problems += checks.traces(farm) + checks.left_over(farm)
     except Exception:
-        # The harness's own fault; the folder is kept as after a failure of the program.
+        # The harness has a defect. Report it like a failure of the program, so that the folder is kept.
         outcome.problems.append(f"the harness failed: {traceback.format_exc()}")
     finally:
         if outcome.problems:
@@ -73,12 +75,13 @@ def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
 
 
 def _keep(farm: Farm) -> None:
-    """Copies the data directory off the file system that goes with the schedule."""
-    shutil.copytree(farm.disk.at, farm.folder / "data", symlinks=True, ignore=shutil.ignore_patterns("filler-*"))
+    """Copies the data directory from the tmpfs, which ends with the schedule."""
+    shutil.copytree(farm.disk.at, farm.folder / "data", symlinks=True,
+                    ignore=shutil.ignore_patterns("filler-*"))
 
 
 def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
-    """All errands and all faults, then the end of all jobs."""
+    """Runs all errands and faults, waits for the end of all jobs, and checks the results."""
     told = Acknowledged()
     farm.start()
     observer = Observer(farm, told)
@@ -104,7 +107,7 @@ def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
     if not told.cancelled:
         wrong, outcome.blobs_left = checks.disk_left(farm)
         outcome.problems += wrong
-    # What is acknowledged is on the disk, also when the last thing that happens is a kill.
+    # The coordinator must have stored all acknowledged changes, so kill it and check them again.
     for number in farm.coordinators:
         farm.take_down(number)
     for number in farm.coordinators:
@@ -112,10 +115,11 @@ def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
     if _answers(farm, bound):
         _check(farm, told, outcome)
     else:
-        outcome.problems.append("the coordinator does not answer after its last start")
+        outcome.problems.append("the coordinator does not answer after the last restart")
 
 
 def _check(farm: Farm, told: Acknowledged, outcome: Outcome) -> None:
+    """Checks the results of all jobs and the acknowledged changes."""
     for number, job in sorted(told.jobs.items()):
         if job not in told.cancelled:
             outcome.problems += checks.job(farm, job, farm.schedule.errands[number].variant)
@@ -124,8 +128,11 @@ def _check(farm: Farm, told: Acknowledged, outcome: Outcome) -> None:
         outcome.problems += checks.liars(farm)
 
 
-def _send(farm: Farm, told: Acknowledged, errands: tuple[Errand, ...], until: float) -> list[threading.Thread]:
-    threads = [threading.Thread(target=clients.run_errand, args=(farm, told, number, errand, until), daemon=True)
+def _send(farm: Farm, told: Acknowledged, errands: tuple[Errand, ...],
+          until: float) -> list[threading.Thread]:
+    """Starts a thread for each errand."""
+    threads = [threading.Thread(target=clients.run_errand, args=(farm, told, number, errand, until),
+                                daemon=True)
                for number, errand in enumerate(errands)]
     for thread in threads:
         thread.start()
@@ -134,7 +141,7 @@ def _send(farm: Farm, told: Acknowledged, errands: tuple[Errand, ...], until: fl
 
 def _weather(farm: Farm, began: float) -> None:
     """Begins and ends all faults at their times."""
-    # A number in each entry, for functions have no order.
+    # Each entry contains a unique number, because the heap cannot compare functions.
     due: list[tuple[float, int, faults.Undo]] = []
     waiting = list(farm.schedule.faults)
     while waiting or due:
@@ -146,12 +153,13 @@ def _weather(farm: Farm, began: float) -> None:
         while due and due[0][0] <= now:
             at, _, undo = heapq.heappop(due)
             undo()
-            farm.note(f"the fault that was to end at {at:.2f} has ended")
+            farm.note(f"the fault with the planned end at {at:.2f} s has ended")
         farm.tend()
         time.sleep(0.01)
 
 
 def _answers(farm: Farm, bound: float) -> bool:
+    """Waits until the coordinator answers. Returns false after `bound` seconds."""
     until = time.monotonic() + bound
     while time.monotonic() < until:
         if farm.ask(["jobs"]) is not None:
@@ -162,7 +170,10 @@ def _answers(farm: Farm, bound: float) -> bool:
 
 
 def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> None:
-    """Waits until all jobs have ended. Does what docs say that a person does about damaged scenes and paused jobs."""
+    """Waits for the end of all jobs.
+
+    Uploads damaged scenes again and resumes paused jobs, as an administrator would.
+    """
     wanted = {job: number for number, job in told.jobs.items() if job not in told.cancelled}
     sent = 0.0
     while wanted and time.monotonic() < until:
@@ -176,7 +187,7 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
             _release_honest(farm)
         for job, number in list(wanted.items()):
             if job not in shown:
-                outcome.problems.append(f"job {job} was acknowledged and is not listed")
+                outcome.problems.append(f"job {job} was acknowledged, and sightline jobs does not list it")
                 return
             state, reason = shown[job]["state"], shown[job]["reason"]
             if state == "done":
@@ -184,41 +195,47 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
             elif state == "paused" and job in told.paused:
                 farm.call(["resume", str(job)])
             elif state in ("failed", "cancelled"):
-                outcome.problems.append(f"job {job} has ended as {state}: {reason}")
+                outcome.problems.append(f"job {job} ended as {state}: {reason}")
                 return
             elif farm.damaged & {"scene", "tile"} and time.monotonic() > sent + SEND:
-                # Which blob was a scene is not always known when it is damaged.
+                # The damaged blob can be a scene in both cases, because the harness does not always know the
+                # scenes at the time of the damage.
                 sent = time.monotonic()
                 farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant))
                 if state == "paused":
-                    # For its scene, by a coordinator that has been killed since: no other knows why.
+                    # A coordinator paused the job because of the scene. If that coordinator was killed, the
+                    # reason is lost, and only `resume` continues the job.
                     farm.call(["resume", str(job)])
         time.sleep(0.4)
     if wanted:
-        outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{farm.call(['jobs'])[1]}")
+        outcome.problems.append(f"jobs {sorted(wanted)} did not end in time:\n{farm.call(['jobs'])[1]}")
 
 
 def _release_honest(farm: Farm) -> None:
-    """Lets workers work again that are quarantined for what a liar did to a tile that they shared. A person would find
-    that nothing is wrong with them."""
+    """Releases honest workers from quarantine, as an administrator would.
+
+    The coordinator quarantined these workers because they shared a tile with a liar.
+    """
     for name in (checks.quarantined(farm) or set()) - {LIAR}:
         farm.note(f"releases {name}")
         farm.call(["workers", "--release", name])
 
 
 def _compute_again(farm: Farm) -> bool:
-    """Does what a person does where the log says that a tile was left unchecked: has the liar's tiles of that job computed
-    again. Whether there were any."""
+    """Invalidates the liar's tiles of each job with an unchecked tile, as an administrator would.
+
+    Returns true if the coordinator reopened any tiles.
+    """
     meant = False
     for job in sorted(checks.notes(farm, checks.UNCHECKED)):
         code, out, _ = farm.call(["invalidate", str(job), "--worker", LIAR, "--json"])
-        farm.note(f"invalidates what the liar did in job {job}: {out.strip()}")
+        farm.note(f"invalidates the tiles of the liar in job {job}: {out.strip()}")
         meant = meant or (code == 0 and out.strip() != "[]")
     return meant
 
 
 def _rounds(farm: Farm, outcome: Outcome, bound: float) -> None:
-    """The same coordinator through many rounds of a job and the faults around it: it must not grow."""
+    """Runs several rounds of a job with faults on one coordinator, and checks its memory and open files."""
     farm.start()
     grown: list[tuple[int, int]] = []
     for at in range(farm.schedule.rounds):
@@ -226,33 +243,37 @@ def _rounds(farm: Farm, outcome: Outcome, bound: float) -> None:
         variant = at % len(farm.world.variants)
         began = time.monotonic()
         number, errand = 1000 + at, Errand(0.0, "submit", variant)
-        thread = threading.Thread(target=clients.run_errand, args=(farm, told, number, errand, began + bound), daemon=True)
+        thread = threading.Thread(target=clients.run_errand,
+                                  args=(farm, told, number, errand, began + bound), daemon=True)
         thread.start()
         _weather(farm, began)
         thread.join()
         jobs = list(told.jobs.values())
         if not jobs or farm.call(["watch", str(jobs[0])], limit=bound)[0] != 0:
-            outcome.problems += [f"round {at} has no end", *told.problems]
+            outcome.problems += [f"the job of round {at} did not end", *told.problems]
             return
         outcome.problems += checks.job(farm, jobs[0], variant)
-        # Otherwise the next job of the same parameters is this one.
+        # If the job existed in the next rounds, a submission with the same parameters would return it.
         if farm.call(["delete", str(jobs[0])])[0] != 0:
-            outcome.problems.append(f"round {at}: the job cannot be deleted")
-        # From the second round on everything has happened once.
+            outcome.problems.append(f"sightline delete failed for the job of round {at}")
+        # The first rounds fill caches, so the second round is the reference.
         grown.append(_measure(farm, grown[1][0] if len(grown) > 1 else None))
-        farm.note(f"round {at}: {grown[-1][0]} handles, {grown[-1][1] >> 20} MiB")
+        farm.note(f"round {at}: {grown[-1][0]} open files, {grown[-1][1] >> 20} MiB")
     (_, before), (handles, after) = grown[1], grown[-1]
     if handles > grown[1][0] + MORE_HANDLES:
-        outcome.problems.append(f"the coordinator's handles grow: {[handles for handles, _ in grown]}")
+        outcome.problems.append(f"the coordinator's open files grow: {[handles for handles, _ in grown]}")
     if after > before + MORE_MEMORY:
-        outcome.problems.append(f"the coordinator's memory grows: {[memory for _, memory in grown]}")
+        outcome.problems.append(f"the coordinator's memory grows: {[memory for _, memory in grown]} bytes")
 
 
 def _measure(farm: Farm, wanted: int | None) -> tuple[int, int]:
-    """Handles and memory of the coordinator once they are down to what is wanted, or after a while."""
+    """Returns the number of the coordinator's open files, and its memory in bytes.
+
+    First waits until the number of open files is close to `wanted`, or until a time limit.
+    """
     coordinator = farm.coordinator()
     if coordinator is None or not coordinator.runs():
-        raise RuntimeError("the coordinator has ended in a schedule that does not end it")
+        raise RuntimeError("the coordinator ended, although the faults of the schedule do not end it")
     until = time.monotonic() + (QUIET if wanted is not None else 2.0)
     while time.monotonic() < until:
         farm.tend()

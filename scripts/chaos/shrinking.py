@@ -1,4 +1,4 @@
-"""Makes a failing schedule smaller: leaves out faults one at a time as long as it still fails."""
+"""The reduction of a failing schedule: removes faults one at a time while the schedule still fails."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from .plan import Schedule
 
 
 def shrink(schedule: Schedule, fails: Callable[[Schedule], bool], seconds: float) -> Schedule:
-    """The smallest failing schedule found within `seconds`. `fails` runs one."""
+    """Returns the smallest failing schedule found within `seconds`. `fails` runs a schedule."""
     until = time.monotonic() + seconds
     at = 0
-    # The last faults first: what comes after the failure goes away soonest.
+    # Begin with the last faults, because faults after the failure are unnecessary.
     while at < len(schedule.faults) and time.monotonic() < until:
         smaller = schedule.without(len(schedule.faults) - 1 - at)
         if fails(smaller):

@@ -1,7 +1,8 @@
-"""The network between the nodes of a farm: a switch in this process that loses, delays, doubles and reorders packets.
+"""The network between the nodes of a farm: a switch that loses, delays, duplicates and reorders packets.
 
-Each node's namespace has one TUN device whose other end is here, so that every packet passes this thread. Linux has the
-same faults in `tc netem`, but not every kernel is built with it, and netem draws from a clock; here the seed decides.
+The namespace of each node has one TUN device, and the switch has the other end of each device. All packets
+therefore pass the thread of the switch. `tc netem` of Linux injects the same faults, but some kernels lack
+it, and its decisions depend on a clock. The decisions of this switch depend on the seed.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-# Addresses are 10.77.0.N; the switch forwards by N.
+# The prefix of all addresses. The last byte of an address is the number of the node.
 NETWORK = "10.77.0."
 MTU = 1500
 
 
 @dataclass(frozen=True)
 class Weather:
-    """What happens to the packets of one direction. Probabilities are 0 to 1, times are seconds."""
+    """Faults of the packets in one direction. Probabilities are from 0 to 1, and times are in seconds."""
 
     loss: float = 0.0
     delay: float = 0.0
@@ -33,7 +34,7 @@ class Weather:
 
 @dataclass
 class Counts:
-    """Packets so far."""
+    """The numbers of forwarded, lost, duplicated and delayed packets."""
 
     sent: int = 0
     lost: int = 0
@@ -43,6 +44,8 @@ class Counts:
 
 @dataclass(order=True)
 class _Late:
+    """A delayed packet with the time at which the switch forwards it."""
+
     due: float
     number: int
     to: int = field(compare=False)
@@ -50,10 +53,10 @@ class _Late:
 
 
 class Switch(threading.Thread):
-    """Forwards packets between the devices until `end`."""
+    """A thread that forwards packets between the devices until `end`."""
 
     def __init__(self, devices: dict[int, int], seed: int) -> None:
-        """Node numbers and the file descriptors of their devices."""
+        """Creates a switch. `devices` contains the file descriptor of each node's device."""
         super().__init__(daemon=True, name="switch")
         self.counts = Counts()
         self._devices = devices
@@ -65,11 +68,11 @@ class Switch(threading.Thread):
         self._ended = False
 
     def change(self, source: int, target: int, weather: Weather) -> None:
-        """Adds weather to the packets from `source` to `target`, to what is there already."""
+        """Adds weather to the packets from `source` to `target`, in addition to earlier weather."""
         self._weather[source, target] = [*self._weather.get((source, target), []), weather]
 
     def restore(self, source: int, target: int, weather: Weather) -> None:
-        """Takes weather away again."""
+        """Removes weather that `change` added."""
         left = list(self._weather.get((source, target), []))
         if weather in left:
             left.remove(weather)
@@ -84,6 +87,7 @@ class Switch(threading.Thread):
             os.close(device)
 
     def run(self) -> None:
+        """Forwards packets until `end`."""
         with selectors.DefaultSelector() as ready:
             for node, device in self._devices.items():
                 os.set_blocking(device, False)
@@ -100,20 +104,22 @@ class Switch(threading.Thread):
                     self._put(late.to, late.packet)
 
     def _take(self, source: int, device: int) -> None:
-        # A few at a time, so that late packets of others are not later still.
+        """Reads packets of a node and forwards them."""
+        # The number of packets is limited, so that delayed packets of other nodes do not wait longer.
         for _ in range(32):
             try:
                 packet = os.read(device, 65535)
             except BlockingIOError:
                 return
             except OSError:
-                # The device is down; its node's link will come back.
+                # The link of the node is down. A later call reads its packets.
                 return
-            # IPv4 alone; the byte is the last of the target's address.
+            # The switch forwards only IPv4. Byte 19 is the last byte of the target's address.
             if len(packet) >= 20 and packet[0] >> 4 == 4 and packet[19] in self._devices:
                 self._forward(source, packet[19], packet)
 
     def _forward(self, source: int, target: int, packet: bytes) -> None:
+        """Applies the weather to a packet, and forwards its copies at once or later."""
         weather = self._weather.get((source, target))
         if not weather:
             self._put(target, packet)
@@ -121,7 +127,7 @@ class Switch(threading.Thread):
         draw = self._draw.setdefault((source, target), random.Random(f"{self._seed}/{source}/{target}"))
         delay, copies = 0.0, 1
         for one in weather:
-            # Always as many numbers a packet, so that one fault does not shift the draws of another.
+            # Each fault draws four numbers per packet, so that the faults do not affect each other's numbers.
             lost, doubled, early, shift = (draw.random() for _ in range(4))
             if one.cut or lost < one.loss:
                 copies = 0
@@ -136,14 +142,16 @@ class Switch(threading.Thread):
         for copy in range(copies):
             if delay > 0.0:
                 due = time.monotonic() + delay
-                heapq.heappush(self._late, _Late(due, self.counts.sent + len(self._late) + copy, target, packet))
+                heapq.heappush(self._late,
+                               _Late(due, self.counts.sent + len(self._late) + copy, target, packet))
             else:
                 self._put(target, packet)
 
     def _put(self, target: int, packet: bytes) -> None:
+        """Writes a packet to the device of a node."""
         try:
             os.write(self._devices[target], packet)
             self.counts.sent += 1
         except OSError:
-            # A full queue or a link that is down loses packets, as wires do.
+            # The queue of the device is full, or the link is down. The packet is lost, as on a real network.
             self.counts.lost += 1

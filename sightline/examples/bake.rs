@@ -9,7 +9,7 @@ use sightline::{
     read_scene,
 };
 
-/// An observer that prints.
+/// An observer that prints progress and notes.
 struct Print;
 
 impl Observer for Print {

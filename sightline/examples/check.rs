@@ -6,7 +6,8 @@
 use std::path::Path;
 
 use sightline::{
-    Error, MeasureOptions, MeasureReport, NamedResult, SceneSource, Silent, Verdict, VerifyOptions,
+    CellIndex, Error, MeasureOptions, MeasureReport, NamedResult, SceneSource, Silent, TriangleId,
+    Verdict, VerifyOptions,
 };
 
 /// The outcome of the checks of a result.
@@ -32,7 +33,7 @@ pub fn check_files(scene: &Path, path: &Path) -> Result<Checked, Error> {
     Ok(Checked {
         report: sightline::measure(&source, result, &options, &Silent)?,
         verdict: sightline::verify(&source, result, &VerifyOptions::default(), &Silent)?,
-        reason: sightline::explain(result, None, (0, 0), &Silent)?,
+        reason: sightline::explain(result, None, CellIndex(0), TriangleId(0), &Silent)?,
     })
 }
 

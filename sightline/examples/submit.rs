@@ -1,4 +1,4 @@
-//! Submits a scene to a coordinator, waits for the job and fetches the result:
+//! Submits a scene to a coordinator, waits for the job and downloads the result:
 //! `cargo run --release -p sightline --example submit -- http://127.0.0.1:7600 SCENE OUT.pvs`.
 #![allow(clippy::print_stdout, reason = "an example")]
 
@@ -9,7 +9,7 @@ use sightline::{
     read_scene,
 };
 
-/// Bakes a scene file on the farm of the coordinator at `url`; returns the job.
+/// Bakes a scene file on the farm of the coordinator at `url`. Returns the job.
 pub fn bake_at(url: &str, scene: &Path, output: &Path) -> Result<Job, Error> {
     let source = SceneSource::File(scene.to_owned());
     let scene = read_scene(&source, &LoadOptions::default(), &Silent)?;

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use sightline::{Cells, Error, JobOptions, LoadOptions, SceneSource, Silent, read_scene, tiles};
 
-/// Plans the bake of a scene file in a folder, computes the tiles in reverse order, and joins them; returns
+/// Plans the bake of a scene file in a folder, computes the tiles in reverse order, and joins them. Returns
 /// the number of tiles.
 pub fn bake_in_tiles(scene: &Path, folder: &str, output: &Path) -> Result<u32, Error> {
     let source = SceneSource::File(scene.to_owned());
@@ -19,9 +19,9 @@ pub fn bake_in_tiles(scene: &Path, folder: &str, output: &Path) -> Result<u32, E
     };
     let job = options.resolve(&scene, &Silent)?;
     let planned = tiles::plan(&scene, &job, folder, &Silent)?;
-    // The tiles of a grid that sight lines sample need no other tiles.
+    // Tiles of a grid that is sampled by sight lines do not depend on other tiles.
     for number in (0..planned.tiles).rev() {
-        tiles::run_tile(folder, number, &Silent)?;
+        tiles::run_tile(folder, tiles::TileIndex(number), &Silent)?;
     }
     tiles::assemble(folder, output)?;
     Ok(planned.tiles)

@@ -1,12 +1,12 @@
-//! Ambient occlusion: receivers become a job, and its result their openness.
+//! Ambient occlusion: a job computes the openness of receivers.
 //!
-//! The caller knows the use of its receivers, texels or vertices, and writes their file.
+//! The caller knows the use of its receivers (texels or vertices) and writes their file.
 
 use sightline_ambient::{Falloff, Receiver, Solver};
 use sightline_model::openness::Openness;
 use sightline_model::receivers::{self, ReceiverSettings, Receivers};
 use sightline_model::{Ambient, JobSpec};
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
@@ -15,26 +15,26 @@ use crate::client::{Blob, Client, Job, JobHandle, Submission, fetch_to, upload};
 use crate::error::Error;
 use crate::observer::{Observer, note};
 
-/// Receivers of ambient light in the order of their blocks.
+/// Receivers of ambient light in the order of a job: one block of the solver after the other.
 ///
 /// ```no_run
 /// use sightline::{LoadOptions, Local, OrderedReceivers, SceneSource, Silent};
-/// use sightline_ambient::{Prepared, Receiver, Settings, Solver};
+/// use sightline_ambient::{AmbientScene, Receiver, Solver, SolverSettings};
 ///
 /// let source = SceneSource::File("level.glb".into());
 /// let scene = sightline::read_scene(&source, &LoadOptions::default(), &Silent)?;
 /// let above = Receiver { point: glam::DVec3::Y, normal: glam::DVec3::Y, triangle: None };
-/// let prepared = Prepared::new(&scene, false)?;
-/// let receivers = OrderedReceivers::new(&Solver::new(&prepared, Settings::new(2.0)), &[above]);
+/// let prepared = AmbientScene::new(&scene, false)?;
+/// let receivers = OrderedReceivers::new(&Solver::new(&prepared, SolverSettings::new(2.0)), &[above]);
 /// let result = sightline::ambient(&scene, &receivers, &Local::default(), &Silent)?;
-/// println!("openness {:?}, each right to {}", receivers.restore(&result.openness), result.openness.bound);
+/// println!("openness {:?}, error at most {}", receivers.restore(&result.openness), result.openness.bound);
 /// # Ok::<(), sightline::Error>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct OrderedReceivers {
     /// The receivers in the order of the job.
     receivers: Receivers,
-    /// The index of each receiver in the caller's order.
+    /// For each receiver in the order of the job, its index in the caller's list.
     order: Vec<u32>,
 }
 
@@ -43,8 +43,8 @@ pub struct OrderedReceivers {
 pub struct AmbientResult {
     /// The job in its last state.
     pub job: Job,
-    /// The openness of the receivers, in the order of their blocks; [`OrderedReceivers::restore`] brings it
-    /// into the caller's order.
+    /// The openness of the receivers, in the order of the job. [`OrderedReceivers::restore`] converts the
+    /// values into the caller's order.
     pub openness: Openness,
 }
 
@@ -54,7 +54,7 @@ impl OrderedReceivers {
         &self.receivers
     }
 
-    /// Orders receivers in blocks, as the solver does.
+    /// Sorts receivers into the blocks of the solver.
     pub fn new(solver: &Solver<'_>, all: &[Receiver]) -> Self {
         let settings = solver.settings();
         let blocks = solver.blocks(all);
@@ -95,7 +95,8 @@ impl OrderedReceivers {
         }
     }
 
-    /// Returns the numbers of each receiver in the caller's order, one receiver after the other.
+    /// Returns the values in the caller's order of the receivers: for each receiver its openness, then the
+    /// form factor of each light.
     pub fn restore(&self, openness: &Openness) -> Vec<f32> {
         let numbers = openness.numbers as usize;
         let mut back = vec![f32::NAN; openness.values.len()];
@@ -114,12 +115,14 @@ impl OrderedReceivers {
 }
 
 impl Client {
-    /// Computes the ambient occlusion of receivers on the farm of the coordinator. A cancelling observer ends
-    /// the waiting and not the job; the same call finds the job again.
+    /// Computes the ambient occlusion of receivers on the farm of the coordinator. If the observer cancels,
+    /// the waiting ends, but the job continues. A second call with the same scene and receivers returns the
+    /// same job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], [`crate::ErrorKind::Job`] for a job that fails, or
-    /// [`crate::ErrorKind::Cancelled`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call,
+    /// [`crate::ErrorKind::Job`] if the job fails, or [`crate::ErrorKind::Cancelled`] if the observer
+    /// cancels.
     pub fn ambient(
         &self,
         scene: &Scene,
@@ -138,7 +141,8 @@ impl Client {
                 observer,
                 format!(
                     "ATTENTION: {aside} tiles failed and were set aside: {} of {} receivers have no \
-                     openness. `sightline show --tiles {}` says why; the same command tries them again.",
+                     openness. `sightline show --tiles {}` prints the reasons; run the same command \
+                     again to retry.",
                     result.openness.missing(),
                     result.openness.points(),
                     result.job.id()
@@ -148,11 +152,11 @@ impl Client {
         Ok(result)
     }
 
-    /// Uploads the scene and the receivers, and submits a job of ambient occlusion. A job of the coordinator
-    /// with the same key is returned instead; its tiles that were set aside are tried again.
+    /// Uploads the scene and the receivers, and submits a job of ambient occlusion. If the coordinator has a
+    /// job with the same key, returns that job, and retries its tiles that were set aside.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn submit_ambient(
         &self,
         scene: &Scene,
@@ -169,10 +173,11 @@ impl Client {
 }
 
 impl JobHandle<'_> {
-    /// Downloads the openness of the receivers of an ended job, in the order of their blocks.
+    /// Downloads the openness of the receivers of an ended job, in the order of the job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Job`] for a job without a result, [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Job`] if the job has no result, or [`crate::ErrorKind::Coordinator`] if the
+    /// coordinator cannot be reached or rejects the call.
     pub fn fetch_openness(
         &self,
         receivers: &OrderedReceivers,
@@ -184,8 +189,8 @@ impl JobHandle<'_> {
     }
 }
 
-/// Uploads the parts that the coordinator lacks, and submits the job. A job of the coordinator with the same
-/// key answers; its tiles that were set aside are tried again.
+/// Uploads the chunks of the scene and of the receivers that the coordinator lacks, and submits the job. If
+/// the coordinator has a job with the same key, returns that job, and retries its tiles that were set aside.
 pub(crate) async fn submit(
     client: &mut JobsClient<Connection>,
     scene: &Scene,
@@ -211,7 +216,8 @@ pub(crate) async fn submit(
         digest: blob.digest.clone(),
     };
     let mut answer = None;
-    // Another job with the same receivers may be deleted, and they with it, before this one names them.
+    // The deletion of another job with the same receivers may remove the receivers before this job references
+    // them, so try twice.
     for is_last in [false, true] {
         let calls = client.clone();
         let put = async || calls.clone().put_receivers(put.clone()).await.map(drop);
@@ -228,13 +234,21 @@ pub(crate) async fn submit(
     let answer = answer.unwrap_or_default();
     let job = Job::from(answer.job.unwrap_or_default());
     if answer.existing {
-        note(observer, format!("job {} does this already", job.id()));
+        note(
+            observer,
+            format!(
+                "job {} does this already: it has the same scene and receivers",
+                job.id()
+            ),
+        );
     }
     let aside = job.message().tiles_set_aside;
     if job.is_done() && aside > 0 {
         note(
             observer,
-            format!("an earlier run set {aside} tiles aside: trying them again"),
+            format!(
+                "an earlier run set {aside} tiles aside; the coordinator leases these tiles again"
+            ),
         );
         let retried = client.retry(v1::ShowRequest { job: job.id() }).await;
         let retried = retried.map_err(|s| Error::status(&s))?.into_inner();
@@ -243,12 +257,12 @@ pub(crate) async fn submit(
     Ok((job, answer.existing))
 }
 
-/// Converts the answer of a coordinator that accepts no receivers.
+/// Converts the error of a coordinator that rejects receivers.
 fn rejected(s: &tonic::Status) -> Error {
     match s.code() {
         tonic::Code::Unimplemented => Error::coordinator(
-            "the coordinator is of an earlier version, which computes no ambient occlusion; run the same \
-             version of sightline on both",
+            "the coordinator has an earlier version, which computes no ambient occlusion; run the same \
+             version of sightline on the client and the coordinator",
         ),
         _ => Error::status(s),
     }
@@ -271,7 +285,7 @@ pub(crate) async fn fetch(
     let expected = receivers.order.len();
     if openness.points() != expected {
         return Err(Error::internal(format!(
-            "job {} has the openness of {} receivers, expected {expected}; submit it again",
+            "job {} has the openness of {} receivers, expected {expected}; submit the job again",
             job.id(),
             openness.points()
         )));

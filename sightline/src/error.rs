@@ -1,4 +1,4 @@
-//! The error of every function of the library: its kind, the option that is wrong, and a sentence with the
+//! The error of every function of the library: its kind, the responsible option, and a sentence with the
 //! reason and the remedy.
 
 use std::path::Path;
@@ -11,19 +11,19 @@ use sightline_viewcells::DivisionError;
 /// The kind of an error. The command maps each kind to an exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ErrorKind {
-    /// An option, or a combination of options, that cannot be used.
+    /// An option, or a combination of options, is invalid.
     Usage,
-    /// A file or stored data that cannot be used.
+    /// A file, or stored data, cannot be used.
     Input,
-    /// A coordinator that is unreachable, or that rejects a request.
+    /// A coordinator cannot be reached, or rejects a request.
     Coordinator,
-    /// A job that ended without a result.
+    /// A job ended without a result.
     Job,
-    /// Two results that differ by more than permitted.
+    /// Two results differ by more than permitted.
     Different,
-    /// An observer that cancelled the work ([`crate::Observer::is_cancelled`]).
+    /// The observer cancelled the work ([`crate::Observer::is_cancelled`]).
     Cancelled,
-    /// A fault of the program or the machine.
+    /// The program or the machine has a fault.
     Internal,
 }
 
@@ -42,7 +42,7 @@ pub enum ErrorKind {
 pub struct Error {
     kind: ErrorKind,
     option: Option<&'static str>,
-    /// True if the scene is at fault, whose name the text lacks.
+    /// True if the error is about the scene, and the text does not contain the scene's name.
     is_about_scene: bool,
     text: String,
 }
@@ -95,18 +95,21 @@ impl Error {
 
     /// Creates the error of an input file that cannot be read.
     pub fn reading(path: &Path, e: &std::io::Error) -> Self {
-        Self::input(format!("{}: cannot be read: {e}", path.display()))
+        Self::input(format!(
+            "{} cannot be read: {e}; check the path and its permissions",
+            path.display()
+        ))
     }
 
     /// Creates the error of an output file that cannot be written.
     pub fn writing(path: &Path, e: &std::io::Error) -> Self {
         Self::internal(format!(
-            "{} cannot be written: {e}; check the folder and the space left",
+            "{} cannot be written: {e}; check the folder and the free disk space",
             path.display()
         ))
     }
 
-    /// Returns the error with the option that it is about, as the command line spells it, without dashes.
+    /// Returns the error with the responsible option, as the command line spells it, without dashes.
     pub fn about(self, option: &'static str) -> Self {
         Self {
             option: Some(option),
@@ -114,7 +117,7 @@ impl Error {
         }
     }
 
-    /// Creates an error about a scene whose file is unknown here.
+    /// Creates an error about a scene whose file is not known here.
     pub(crate) fn scene(text: impl Into<String>) -> Self {
         Self {
             is_about_scene: true,
@@ -122,7 +125,8 @@ impl Error {
         }
     }
 
-    /// Returns the error with the name of the scene, if it is about the scene.
+    /// Returns the error with `path` in front of the text if the error is about the scene, and otherwise the
+    /// unchanged error.
     #[must_use]
     pub fn naming_scene(self, path: &Path) -> Self {
         match self.is_about_scene {
@@ -135,7 +139,7 @@ impl Error {
         }
     }
 
-    /// Returns the kind.
+    /// Returns the kind of the error.
     pub fn kind(&self) -> ErrorKind {
         self.kind
     }
@@ -145,7 +149,7 @@ impl Error {
         self.option
     }
 
-    /// Replaces the text of cancelled work; other errors stay.
+    /// Replaces the text of an error about cancelled work. Other errors stay unchanged.
     pub(crate) fn or_cancelled(self, text: impl FnOnce() -> String) -> Self {
         match self.kind {
             ErrorKind::Cancelled => Self::cancelled(text()),
@@ -153,12 +157,12 @@ impl Error {
         }
     }
 
-    /// Converts a gRPC status: an answer of the coordinator, or an error of the connection to it.
+    /// Converts a gRPC status, which is either an answer of the coordinator or a connection error.
     pub fn status(s: &tonic::Status) -> Self {
-        if let Some(reason) = sightline_proto::connecting::broken(s) {
+        if let Some(reason) = sightline_proto::connection::broken(s) {
             return Self::coordinator(format!(
-                "the connection to the coordinator failed ({reason}); submitted jobs continue there, and \
-                 the same command connects again"
+                "the connection to the coordinator failed ({reason}); submitted jobs continue on the \
+                 farm; run the same command again to reconnect"
             ));
         }
         match s.code() {
@@ -169,13 +173,13 @@ impl Error {
         }
     }
 
-    /// Returns true if the coordinator has reported the error, and not the connection to it.
+    /// Returns true if the coordinator reported the error, and false for connection errors.
     pub fn is_answer_of_coordinator(&self) -> bool {
         self.kind == ErrorKind::Coordinator && self.text.starts_with(ANSWERED)
     }
 }
 
-/// The first words of an error that the coordinator has reported.
+/// The first words of an error that the coordinator reported.
 const ANSWERED: &str = "the coordinator answered";
 
 impl From<SceneError> for Error {

@@ -1,4 +1,5 @@
-//! Reasons why triangles are visible from a cell or hidden: the reasons that a result stores, or new queries.
+//! Explanations of the visibility of triangles from a cell, from the certificates of a result or from new
+//! queries.
 
 use std::cell::OnceCell;
 use std::path::Path;
@@ -7,50 +8,55 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{
-    Cell, Cost, ExactScene, ExactViewRegion, Found, Hides, Limits, Occluders, Polygon, Sources,
-    from_cell, polygon,
+    Cell, ExactScene, ExactViewRegion, FromCellAnswer, HiddenFrom, Occluders, Polygon, QueryCost,
+    QueryLimits, Sources, from_cell, polygon,
 };
 use sightline_portals::OpenFaces;
 use sightline_proto::v1;
-use sightline_scene::{Aabb, Scene, overlap};
+use sightline_scene::{Aabb, Scene, TriangleId, overlap};
+use sightline_viewcells::CellIndex;
 
 use crate::error::Error;
 use crate::observer::Observer;
 use crate::result::{NamedResult, check_scene, without_masks};
 use crate::viewpoints::{region_of_result, walls_of};
 
-/// A function that receives the answer about a triangle, and returns true to continue with the next one.
-pub type Each<'a> = dyn FnMut(u32, Value) -> Result<bool, Error> + 'a;
+/// A function that receives the answer about a triangle. The function returns true to continue with the next
+/// triangle.
+pub type Each<'a> = dyn FnMut(TriangleId, Value) -> Result<bool, Error> + 'a;
 
-/// Explains why a triangle is visible from a cell or hidden; returns the document that
+/// Explains the visibility of a triangle from a cell. Returns the document that
 /// `sightline query --why --json` prints: `state` is visible, hidden or undecided, with the witness, the
-/// blockers or the reason. The certificates of the result answer, or, with a scene, a new exact query.
+/// blockers or the reason. The answer comes from the certificates of the result, or from a new exact query if
+/// a scene is given.
 ///
 /// ```no_run
-/// use sightline::{NamedResult, Silent};
+/// use sightline::{CellIndex, NamedResult, Silent, TriangleId};
 ///
 /// let path = "level.pvs".as_ref();
 /// let pvs = sightline::open(path)?;
-/// let answer = sightline::explain(NamedResult::new(&pvs, path), None, (0, 17), &Silent)?;
+/// let result = NamedResult::new(&pvs, path);
+/// let answer = sightline::explain(result, None, CellIndex(0), TriangleId(17), &Silent)?;
 /// println!("triangle 17 is {}", answer["state"]);
 /// # Ok::<(), sightline::Error>(())
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a cell or triangle that does not exist, [`crate::ErrorKind::Input`] for a
-/// result without certificates, if there is no scene, for another scene than that of the result, and for
-/// scenes with culled back faces; [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Usage`] if the cell or the triangle does not exist. [`crate::ErrorKind::Input`] if the
+/// result has no certificates and no scene is given, if the scene is not the scene of the result, or if back
+/// faces are culled. [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn explain(
     result: NamedResult<'_>,
     scene: Option<&Scene>,
-    (cell, triangle): (u32, u32),
+    cell: CellIndex,
+    triangle: TriangleId,
     observer: &dyn Observer,
 ) -> Result<Value, Error> {
     let (cells, triangles) = (result.pvs.cells(), result.pvs.triangle_count());
-    if cell >= cells || triangle >= triangles {
+    if cell.0 >= cells || triangle.0 >= triangles {
         return Err(Error::usage(format!(
-            "{} has {cells} cells and {triangles} triangles, numbered from 0; there is no triangle \
-             {triangle} or no cell {cell}",
+            "cell {cell} or triangle {triangle} does not exist: {} has {cells} cells and {triangles} \
+             triangles, numbered from 0",
             result.name.display()
         )));
     }
@@ -63,39 +69,43 @@ pub fn explain(
         Some(scene) => {
             check_scene(scene, Path::new("the scene"), result)?;
             let stop = || observer.is_cancelled();
-            explain_by_query(result, scene, (cell, &[triangle]), &stop, &mut each)?;
-            // The query ended early, so its answer is not one.
+            explain_by_query(result, scene, cell, &[triangle.0], &stop, &mut each)?;
+            // The observer ended the query early, so the answer of the query is not valid.
             if observer.is_cancelled() {
-                return Err(Error::cancelled("interrupted; nothing is known yet"));
+                return Err(Error::cancelled(
+                    "interrupted before the query had an answer",
+                ));
             }
         }
-        None => explain_by_certificates(result, (cell, &[triangle]), &mut each)?,
+        None => explain_by_certificates(result, cell, &[triangle.0], &mut each)?,
     }
     Ok(found)
 }
 
-/// Gives `each` the answers that the certificates of a result store about triangles.
+/// Passes the answers that the certificates of a result contain about triangles to `each`.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for a result without certificates, and the errors of `each`.
+/// [`crate::ErrorKind::Input`] if the result has no certificates, or the errors of `each`.
 pub fn explain_by_certificates(
     result: NamedResult<'_>,
-    (cell, triangles): (u32, &[u32]),
+    cell: CellIndex,
+    triangles: &[u32],
     each: &mut Each<'_>,
 ) -> Result<(), Error> {
     let pvs = result.pvs;
     let found = CertificateReader::default()
-        .read(pvs, cell)
+        .read(pvs, cell.0)
         .map_err(|e| Error::input(format!("{}, cell {cell}: {e}", result.name.display())))?;
     let Some(certificates) = found else {
         return Err(Error::input(format!(
-            "{} was baked without --certificates and stores no reasons; add --scene FILE for a new query",
+            "{} was baked without --certificates and stores no reasons; add --scene FILE for a new \
+             query",
             result.name.display()
         )));
     };
     let (mut undecided, mut visible) = (Vec::new(), Vec::new());
-    pvs.undecided(cell, &mut undecided)?;
-    pvs.visible(cell, &mut visible)?;
+    pvs.undecided(cell.0, &mut undecided)?;
+    pvs.visible(cell.0, &mut visible)?;
     for triangle in triangles.iter().copied() {
         let answer = match certificates.about(triangle) {
             _ if undecided.binary_search(&triangle).is_ok() => {
@@ -126,14 +136,14 @@ pub fn explain_by_certificates(
                 json!({"state": "hidden", "kind": "without area, or does not show", "blockers": []})
             }
         };
-        if !each(triangle, answer)? {
+        if !each(TriangleId(triangle), answer)? {
             break;
         }
     }
     Ok(())
 }
 
-/// Returns the triangles that the occluders of these proofs consist of, ascending.
+/// Returns the triangles of the occluders of these proofs, ascending.
 fn blockers(proofs: &[Proof]) -> Vec<u32> {
     let mut all: Vec<u32> = proofs.iter().flat_map(Proof::blockers).collect();
     all.sort_unstable();
@@ -144,11 +154,12 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 /// Returns the answer of a new query as a message of the protocol.
 ///
 /// # Errors
-/// As [`explain_by_query`].
+/// As for [`explain_by_query`].
 pub fn explain_as_message(
     result: NamedResult<'_>,
     scene: &Scene,
-    (cell, triangle): (u32, u32),
+    cell: CellIndex,
+    triangle: TriangleId,
     stop: &dyn Fn() -> bool,
 ) -> Result<v1::WhyResponse, Error> {
     let mut answer = Value::Null;
@@ -156,14 +167,14 @@ pub fn explain_as_message(
         answer = found;
         Ok(false)
     };
-    explain_by_query(result, scene, (cell, &[triangle]), stop, &mut each)?;
+    explain_by_query(result, scene, cell, &[triangle.0], stop, &mut each)?;
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
     let ends = list(&answer["witness"]);
     let number = |value: &Value| value.as_f64().map(|x| x as f32);
     let id = |value: &Value| value.as_u64().and_then(|id| u32::try_from(id).ok());
     let text = |key: &str| answer[key].as_str().unwrap_or_default().to_owned();
     Ok(v1::WhyResponse {
-        cell,
+        cell: cell.0,
         state: text("state"),
         witness: ends
             .iter()
@@ -172,55 +183,56 @@ pub fn explain_as_message(
             .collect(),
         blockers: list(&answer["blockers"]).iter().filter_map(id).collect(),
         reason: match (answer["meets"] == true, answer["degenerate"] == true) {
-            (true, _) => "it meets the cell".to_owned(),
-            (_, true) => "it has no area".to_owned(),
+            (true, _) => "the triangle meets the cell".to_owned(),
+            (_, true) => "the triangle has no area".to_owned(),
             _ => [text("reason"), text("kind")].concat(),
         },
     })
 }
 
-/// Gives `each` the answers of new queries in the scene, which end undecided when `stop` returns true.
+/// Passes the answers of new queries in the scene to `each`. A query ends undecided if `stop` returns true.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for scenes that exact queries cannot read, and the errors of `each`.
+/// [`crate::ErrorKind::Input`] if exact queries cannot read the scene, or the errors of `each`.
 pub fn explain_by_query(
     result: NamedResult<'_>,
     scene: &Scene,
-    (cell, triangles): (u32, &[u32]),
+    cell: CellIndex,
+    triangles: &[u32],
     stop: &dyn Fn() -> bool,
     each: &mut Each<'_>,
 ) -> Result<(), Error> {
     if !scene.sides().are_both() {
         return Err(Error::input(format!(
-            "{} was baked with --cull-back-faces, and exact queries take every triangle as seen from both \
-             sides; --why answers for results without culling",
+            "{} was baked with --cull-back-faces, but exact queries use both sides of every \
+             triangle; use --why only with a result that was baked without --cull-back-faces",
             result.name.display()
         )));
     }
     let [min, max] = result
         .pvs
-        .cell_bounds(cell)
+        .cell_bounds(cell.0)
         .unwrap_or_default()
         .map(Vec3::from);
     let within = Aabb { min, max };
-    let region = region_of_result(result, scene)?;
-    let places = region.as_ref().map(|region| region as &dyn ExactViewRegion);
-    let faces = walls_of(result, scene).map(|scene| OpenFaces::new(scene, within, places));
-    let places = faces
+    let planes = region_of_result(result, scene)?;
+    let region = planes.as_ref().map(|planes| planes as &dyn ExactViewRegion);
+    let faces = walls_of(result, scene).map(|scene| OpenFaces::new(scene, within, region));
+    let region = faces
         .as_ref()
         .map(|faces| faces as &dyn ExactViewRegion)
-        .or(places);
-    // Many answers need no query, and preparing them takes a while.
+        .or(region);
+    // Many answers need no query, and the preparation takes a while, so prepare on demand.
     let (exact, surfaces) = (OnceCell::new(), OnceCell::new());
     for triangle in triangles.iter().copied() {
-        let kind = scene.kinds().kind(triangle);
+        let kind = scene.kinds().kind(TriangleId(triangle));
         let shape = scene.triangles()[triangle as usize];
         let answer = match Polygon::triangle(shape.v.map(|v| v.as_dvec3())) {
             _ if !kind.shows() => json!({"state": "hidden", "kind": kind.name(), "blockers": []}),
             None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
             Some(_)
                 if overlap::triangle_touches_box(&shape, &within)
-                    && places.is_none_or(|p| p.touch(shape.v, within)) =>
+                    && region.is_none_or(|region| region.touch(shape.v, within)) =>
             {
                 json!({"state": "visible", "meets": true})
             }
@@ -242,7 +254,7 @@ pub fn explain_by_query(
                         .surfaces()
                         .seen_from(exact.occluders(), view, &meeting)
                 });
-                let sources = Sources::new(view, places);
+                let sources = Sources::new(view, region);
                 queried(
                     exact.occluders(),
                     &sources,
@@ -252,40 +264,45 @@ pub fn explain_by_query(
                 )
             }
         };
-        if !each(triangle, answer)? {
+        if !each(TriangleId(triangle), answer)? {
             break;
         }
     }
     Ok(())
 }
 
-/// Returns the answer of one query about a triangle whose closed surface hides the sides `turned_away`.
+/// Returns the answer of one query about a triangle. `turned_away` are the sides of the triangle that its
+/// closed surface hides from the cell.
 fn queried(
     occluders: &Occluders,
     sources: &Sources<'_>,
     target: Polygon,
-    turned_away: Hides,
+    turned_away: HiddenFrom,
     stop: &dyn Fn() -> bool,
 ) -> Value {
     let half = match turned_away {
-        Hides::All => return json!({"state": "hidden", "blockers": [], "surface": true}),
-        Hides::From(side) => Some(side),
-        Hides::Nothing => None,
+        HiddenFrom::All => return json!({"state": "hidden", "blockers": [], "surface": true}),
+        HiddenFrom::From(side) => Some(side),
+        HiddenFrom::Nothing => None,
     };
     match from_cell(
         occluders,
         sources,
-        (&[target], half),
-        (&Limits::default(), stop),
-        &mut Cost::default(),
+        &[target],
+        half,
+        &QueryLimits::default(),
+        stop,
+        &mut QueryCost::default(),
     ) {
-        Found::Visible(ends) => {
+        FromCellAnswer::Visible(ends) => {
             let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
             json!({"state": "visible", "witness": witness})
         }
-        Found::Hidden(proofs) => {
+        FromCellAnswer::Hidden(proofs) => {
             json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})
         }
-        Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
+        FromCellAnswer::Undecided(reason) => {
+            json!({"state": "undecided", "reason": reason.to_string()})
+        }
     }
 }

@@ -1,4 +1,5 @@
-//! Visibility of static triangle scenes, as a library: bakes, queries, checks, and a coordinator's client.
+//! The Sightline library: bakes, queries and checks of visibility in static triangle scenes, and a client of
+//! coordinators.
 //!
 //! | task | functions |
 //! |---|---|
@@ -8,10 +9,30 @@
 //! | use a result | [`open`], and the methods of [`Pvs`] |
 //! | check a result | [`measure()`], [`verify()`], [`explain()`] |
 //!
-//! Functions block; in an async runtime, call them on a blocking thread. An [`Observer`] receives their
-//! progress and notes, and can cancel them. Every [`Error`]
-//! has a kind, and the option at fault if there is one. The command `sightline` calls the functions of this
-//! crate, and so does the Python package.
+//! The command `sightline` and the Python package call the functions of this crate.
+//!
+//! # Modules
+//!
+//! - `scene`, `options`, `viewpoints`: scenes, the options of a job, and the marks of viewpoints.
+//! - `local`: jobs in this process: a coordinator on loopback, and workers.
+//! - `client`: submissions, jobs and downloads of a coordinator.
+//! - `tiles`: bakes without a coordinator.
+//! - `result`, `measure`, `verify`, `explain`, `queries`: results, their checks, and the answers that a
+//!   coordinator requests.
+//! - `ambient`: jobs of ambient occlusion.
+//! - `tracers`, `traces`, `process`, `output`, `progress`, `observer`, `error`, `words`: resources and
+//!   messages.
+//!
+//! # Invariants
+//!
+//! - Functions block; in an async runtime, call them on a blocking thread. An [`Observer`] receives their
+//!   progress and notes, and can cancel them.
+//! - Every [`Error`] has a kind, and the name of the option at fault if an option caused the error.
+//! - One module (`options/unused.rs`) decides about an option that the job does not use: an error or a note.
+//! - The crate depends on no crate for terminals. Its feature `clap` makes the options of a job arguments of
+//!   a command line, so that each option is documented once.
+//!
+//! # Example
 //!
 //! ```no_run
 //! use sightline::{Cells, JobOptions, LoadOptions, Local, SceneSource, Silent};
@@ -51,9 +72,10 @@ pub mod viewpoints;
 pub mod words;
 
 pub use sightline_model::{JobSpec, TracerChoice};
-pub use sightline_proto::connecting::Credentials;
+pub use sightline_proto::connection::Credentials;
 pub use sightline_pvs::Pvs;
-pub use sightline_scene::Scene;
+pub use sightline_scene::{Scene, TriangleId};
+pub use sightline_viewcells::CellIndex;
 
 pub use crate::ambient::{AmbientResult, OrderedReceivers};
 pub use crate::client::{

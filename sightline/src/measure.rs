@@ -1,21 +1,21 @@
-//! Measures of a result: wrong pixels compared with item buffers of the full scene, or exact sets.
+//! Measurements of a result: wrong pixels compared with item buffers of the full scene, or exact sets.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use sightline_measure::{
-    ExactReport, MeasureError, Options, PairReport, Report, Viewpoints, measure as measure_frames,
-    measure_exact, measure_pairs,
+    ExactReport, MeasureError, PairReport, Report, Viewpoints, WorstFrameOptions,
+    measure as measure_frames, measure_exact, measure_pairs,
 };
 use sightline_model::TracerChoice;
 use sightline_pvs::PvsError;
 use sightline_scene::Scene;
-use sightline_tetra::look::{Hierarchy, Looker};
+use sightline_tetra::point_query::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
 use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
-use sightline_viewpoints::points::Weighted;
+use sightline_viewpoints::points::WeightedViewpoint;
 
 use crate::error::Error;
 use crate::observer::{Observer, warn};
@@ -27,10 +27,10 @@ use crate::tracers::{note_other, open_tracer};
 use crate::viewpoints::{read_viewpoints, region_of_result};
 use crate::words::plural;
 
-/// Number of worst frames in a report.
+/// The number of worst frames in a report.
 const WORST: usize = 8;
 
-/// The options of a measurement, which `sightline measure` has as well.
+/// The options of a measurement, which correspond to the options of `sightline measure`.
 ///
 /// ```
 /// use sightline::MeasureOptions;
@@ -41,33 +41,34 @@ const WORST: usize = 8;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeasureOptions {
-    /// The options of reading the scene. Default: the options of the bake.
+    /// The options for reading the scene. Default: the options of the bake.
     pub scene: LoadOptions,
-    /// The number of random viewpoints, uniform in the cells with viewpoints; for a file of viewpoints, the
-    /// maximum number of drawn viewpoints. Each frame is a full cube around a viewpoint.
+    /// The number of random viewpoints, uniform in the cells with viewpoints. With a file of viewpoints, the
+    /// maximum number of drawn viewpoints. Each frame is a full cube around a viewpoint. Default: 200.
     pub viewpoints: u32,
-    /// A file of viewpoints, with a line `x y z` or `x y z weight` for each.
+    /// The path of a file of viewpoints, with a line `x y z` or `x y z weight` for each. Default: random
+    /// viewpoints.
     pub viewpoints_file: Option<PathBuf>,
-    /// The seed of the random viewpoints.
+    /// The seed of the random viewpoints. Default: 1.
     pub seed: u64,
-    /// A file with a camera path, a line `x y z` for each frame, in place of random viewpoints.
+    /// The path of a file with a camera path, with a line `x y z` for each frame. Default: random viewpoints.
     pub path: Option<PathBuf>,
-    /// The number of random pairs of points with which the visibility between cells is measured.
+    /// The number of random pairs of points for measuring the visibility between cells. Default: 0.
     pub pairs: u64,
-    /// True for a measurement by exact sets, without pixels.
+    /// True to measure by exact sets, without pixels.
     pub exact: bool,
-    /// The side of one face of a cube, in pixels, 8 to 4096.
+    /// The side of one face of a cube, in pixels, 8 to 4096. Default: 256.
     pub resolution: u32,
     /// The tracer that renders the frames.
     pub backend: TracerChoice,
-    /// The folder for pictures of the worst frames.
+    /// The folder for pictures of the eight worst frames. Default: no pictures.
     pub images: Option<PathBuf>,
-    /// True for an animated picture of the worst frame, in the same folder.
+    /// True to write an animated picture of the worst frame to the same folder.
     pub turntable: bool,
 }
 
 impl Default for MeasureOptions {
-    /// 200 random viewpoints of seed 1, with 256 pixels for the side of a face.
+    /// Returns the default options: 200 random viewpoints with seed 1, and 256 pixels per side of a face.
     fn default() -> Self {
         Self {
             scene: LoadOptions::default(),
@@ -85,20 +86,20 @@ impl Default for MeasureOptions {
     }
 }
 
-/// The outcome of a measurement. Serialised, it is the document that `sightline measure` prints.
+/// The outcome of a measurement. Its serialisation is the document that `sightline measure` prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum MeasureReport {
     /// Wrong pixels of frames.
     Frames(FrameReport),
-    /// Solid angles by exact sets.
+    /// Solid angles of wrong triangles, computed from exact sets.
     Exact(ExactReport),
 }
 
 /// Wrong pixels of frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameReport {
-    /// The measures of the frames.
+    /// The error measures of the frames.
     #[serde(flatten)]
     pub report: Report,
     /// The numerics profile of the tracer that rendered the frames.
@@ -123,22 +124,22 @@ pub struct FrameReport {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for unsuitable options, [`crate::ErrorKind::Input`] for files that cannot be
-/// read and for another scene, [`crate::ErrorKind::Internal`] for a machine without tracers, or
-/// [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Usage`] if options are unsuitable, [`crate::ErrorKind::Input`] if a file cannot be
+/// read or the scene is not the scene of the result, [`crate::ErrorKind::Internal`] if the machine has no
+/// tracer, or [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn measure(
     source: &SceneSource,
     result: NamedResult<'_>,
     options: &MeasureOptions,
     observer: &dyn Observer,
 ) -> Result<MeasureReport, Error> {
-    // Before the first use of the thread pool.
+    // Set the size before the first use of the thread pool.
     use_threads(threads(None))?;
-    // Errors that do not need the scene are found before it is read.
+    // Detect errors that do not depend on the scene before reading it.
     let places = MeasuredViewpoints::read(result, options)?;
     if !(8..=4096).contains(&options.resolution) {
         return Err(Error::usage(format!(
-            "--resolution {} is not between 8 and 4096",
+            "--resolution {} is not between 8 and 4096 pixels",
             options.resolution
         ))
         .about("resolution"));
@@ -162,7 +163,7 @@ pub fn measure(
 /// Measures a result in a scene that is in memory, at random viewpoints.
 ///
 /// # Errors
-/// As [`measure`].
+/// As for [`measure`].
 pub fn measure_in(
     result: NamedResult<'_>,
     scene: Arc<Scene>,
@@ -178,8 +179,8 @@ enum MeasuredViewpoints {
     Random,
     /// A camera path.
     Path(Viewpoints),
-    /// The viewpoints of a file.
-    File(PathBuf, Vec<Weighted>),
+    /// Viewpoints that a file lists with weights, and the path of the file.
+    File(PathBuf, Vec<WeightedViewpoint>),
 }
 
 impl MeasuredViewpoints {
@@ -226,17 +227,17 @@ fn measure_at(
     let views = match &places {
         MeasuredViewpoints::Path(views) => views.clone(),
         MeasuredViewpoints::File(file, all) => {
-            select(result, options, (file, all), &is_place, observer)?
+            select(result, options, file, all, &is_place, observer)?
         }
         MeasuredViewpoints::Random
             if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) =>
         {
             Viewpoints::random(count, seed, view_box)
         }
-        // Viewpoints are only in some of the cells, or in a region.
+        // Viewpoints are restricted to some of the cells, or to a region.
         MeasuredViewpoints::Random => Viewpoints::random_where(count, seed, view_box, is_place),
     };
-    // The frames of a result whose lines end at a distance end there, too.
+    // If the sight lines of a result end at a distance, the frames must end there, too.
     let info = result.info();
     let far = info["spec"]["visibility"]["far"].as_f64();
     let counter = Counter::new("frames", observer);
@@ -262,7 +263,7 @@ fn measure_at(
     } else {
         1
     };
-    let frames = Options {
+    let frames = WorstFrameOptions {
         images_dir: options.images.clone(),
         turntable: options.turntable.then_some(up),
         images: WORST,
@@ -305,8 +306,8 @@ fn by_exact_sets(
 ) -> Result<ExactReport, Error> {
     if !scene.sides().are_both() {
         return Err(Error::input(format!(
-            "back faces are culled for {}, and exact sets are about triangles that are met from both sides; \
-             leave out --exact",
+            "back faces are culled for {}, but exact sets use both sides of triangles; omit \
+             --exact",
             result.name.display()
         )));
     }
@@ -318,11 +319,13 @@ fn by_exact_sets(
     report.map_err(|e| measure_error(&e))
 }
 
-/// Selects the viewpoints of a file that are in cells with viewpoints.
+/// Returns the viewpoints of a file that are in cells with viewpoints, at most `options.viewpoints` of them.
+/// A larger number is drawn at random by weight.
 fn select(
     result: NamedResult<'_>,
     options: &MeasureOptions,
-    (file, all): (&Path, &[Weighted]),
+    file: &Path,
+    all: &[WeightedViewpoint],
     is_place: &dyn Fn([f32; 3]) -> bool,
     observer: &dyn Observer,
 ) -> Result<Viewpoints, Error> {
@@ -333,8 +336,8 @@ fn select(
         .collect();
     if inside.is_empty() {
         return Err(Error::input(format!(
-            "{}: none of its viewpoints is in a cell with viewpoints of {}; are they in the scene's units \
-             and axes?",
+            "{}: no point of the file is in a cell with viewpoints of {}; give the points in the scene's \
+             units and axes",
             file.display(),
             result.name.display()
         )));
@@ -343,7 +346,7 @@ fn select(
         warn(
             observer,
             format!(
-                "{}: {} of {} are outside the cells of the result and left out",
+                "{}: {} of {} are outside the cells with viewpoints of the result, and are skipped",
                 file.display(),
                 all.len() - inside.len(),
                 plural(all.len(), "viewpoint")

@@ -7,25 +7,25 @@ use crate::client::Job;
 /// The progress of work.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress<'a> {
-    /// The number of finished things.
+    /// The number of finished items.
     pub done: u64,
-    /// The number of all things; 0 while it is unknown.
+    /// The total number of items. 0 if it is not known.
     pub total: u64,
-    /// The things that are counted, such as `cells` or `frames`.
+    /// The noun of the items, such as `cells` or `frames`.
     pub what: &'static str,
-    /// The time left.
+    /// The remaining time.
     pub left: TimeLeft,
-    /// The job, for the work of a job.
+    /// The job, if the work belongs to a job.
     pub job: Option<JobProgress<'a>>,
 }
 
 impl Progress<'_> {
-    /// Returns the state of the job as a word; `running` for other work.
+    /// Returns the state of the job as a word, or `running` for work that belongs to no job.
     pub fn state(&self) -> &'static str {
-        self.job.map_or("running", |of| of.job.state_name())
+        self.job.map_or("running", |handle| handle.job.state_name())
     }
 
-    /// Returns the time left in seconds, where it is known.
+    /// Returns the remaining time in seconds, if it is known.
     pub fn seconds_left(&self) -> Option<f64> {
         match self.left {
             TimeLeft::Seconds(seconds) => Some(seconds),
@@ -35,41 +35,41 @@ impl Progress<'_> {
     }
 }
 
-/// A job as it is now, and its rate since it was first observed.
+/// The current state of a job, and its sampling rate.
 #[derive(Clone, Copy, Debug)]
 pub struct JobProgress<'a> {
     /// The job.
     pub job: &'a Job,
-    /// Samples per second since the job was first observed.
+    /// The number of samples per second since the job was first observed.
     pub samples_per_second: f64,
 }
 
-/// The time until work ends.
+/// The remaining time until the work ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TimeLeft {
-    /// The job is paused.
+    /// Unknown, because the job is paused.
     Paused,
-    /// No worker computes tiles of the job.
+    /// Unknown, because no worker computes tiles of the job.
     NoWorkers,
-    /// All cells of the job are done, and its result is assembled.
+    /// About zero, because all cells of the job are done and its result is being assembled.
     Finishing,
-    /// About this number of seconds.
+    /// About this number of seconds, which is at least 0.
     Seconds(f64),
-    /// Too little is done to estimate a time.
+    /// Unknown, because too few items are finished for an estimate.
     Unknown,
 }
 
 /// A line for the user that is not an error.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Note {
-    /// True for a note about input that a part of the library ignores or changes.
+    /// True if the note is about input that a part of the library ignores or changes.
     pub is_warning: bool,
-    /// The line. The text of a warning has no mark of its kind.
+    /// The text of the note, in one line. The text of a warning does not contain the word “warning”.
     pub text: String,
 }
 
-/// The observer of a call that can take long. Every method has a default, so that an observer implements only
-/// the methods that it needs. The library calls the methods from any thread.
+/// The observer of a call that can take long. Every method has a default, so an observer implements only the
+/// methods that it needs. The library calls the methods from any thread.
 ///
 /// ```
 /// use sightline::{Note, Observer};
@@ -89,13 +89,13 @@ pub trait Observer: Sync {
     /// Receives a note.
     fn note(&self, _note: &Note) {}
 
-    /// Returns true if the call should stop. It then ends soon, with [`crate::ErrorKind::Cancelled`].
+    /// Returns true if the call should stop. The call then ends soon, with [`crate::ErrorKind::Cancelled`].
     fn is_cancelled(&self) -> bool {
         false
     }
 }
 
-/// An observer that ignores everything and never cancels.
+/// An observer that ignores progress and notes, and never cancels.
 ///
 /// ```
 /// use sightline::{Observer as _, Silent};
@@ -107,7 +107,7 @@ pub struct Silent;
 
 impl Observer for Silent {}
 
-/// Time between two questions whether to stop.
+/// The time between two calls of [`Observer::is_cancelled`].
 const ASK_EVERY: Duration = Duration::from_millis(50);
 
 /// Resolves when the observer cancels.
@@ -117,7 +117,7 @@ pub(crate) async fn cancelled(observer: &dyn Observer) {
     }
 }
 
-/// Gives an observer a note.
+/// Passes a note to an observer.
 pub(crate) fn note(observer: &dyn Observer, text: impl Into<String>) {
     observer.note(&Note {
         is_warning: false,
@@ -125,7 +125,7 @@ pub(crate) fn note(observer: &dyn Observer, text: impl Into<String>) {
     });
 }
 
-/// Gives an observer a warning.
+/// Passes a warning to an observer.
 pub(crate) fn warn(observer: &dyn Observer, text: impl Into<String>) {
     observer.note(&Note {
         is_warning: true,

@@ -1,4 +1,5 @@
-//! Output files of commands: the rules for existing files, over the synced replacement of `sightline_files`.
+//! Output files of commands: the rules for existing files, on top of the synced replacement of
+//! `sightline_files`.
 //!
 //! Only a file of the same format is replaced, because a user may give `-o` the name of the model by mistake.
 
@@ -36,7 +37,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The first bytes of a file of this format.
+    /// Returns the first bytes of a file of this format.
     pub fn magic(self) -> &'static [u8] {
         match self {
             Self::Pvs => b"\x89PVS",
@@ -52,7 +53,7 @@ impl Format {
         }
     }
 
-    /// The flag that names such files.
+    /// Returns the flag that names a file of this format.
     fn flag(self) -> &'static str {
         match self {
             Self::Vtu => "--export",
@@ -61,7 +62,7 @@ impl Format {
         }
     }
 
-    /// The ending of the names of such files.
+    /// Returns the extension of a file of this format, without a dot.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Pvs => "pvs",
@@ -78,13 +79,14 @@ impl Format {
     }
 }
 
-/// Extensions of well-known formats; a name with one of them promises that format.
+/// Extensions of well-known formats. An output file with one of these extensions must have the format of the
+/// extension.
 const KNOWN: [&str; 15] = [
     "obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html",
     "tets", "vtu",
 ];
 
-/// A place where a file may be written.
+/// A path to which a file may be written.
 #[derive(Debug)]
 pub struct Output {
     /// The path as the user gave it.
@@ -94,11 +96,11 @@ pub struct Output {
 }
 
 impl Output {
-    /// Checks, before any work is spent, that `path` can be written and that only an older file of the same
-    /// format is replaced, never the file `input`.
+    /// Checks, before any work, that `path` can be written. Permits replacing only an existing file of the
+    /// same format, and never the file `input`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] with the reason.
+    /// [`crate::ErrorKind::Usage`] with the reason, if the path cannot be written.
     pub fn check(path: &Path, format: Format, input: Option<&Path>) -> Result<Self, Error> {
         let flag = format.flag();
         let refusal =
@@ -115,7 +117,7 @@ impl Output {
             .ends_with(std::path::is_separator)
         {
             return refuse(format!(
-                "that names a folder; give {flag} the name of a file"
+                "the path names a folder; give {flag} the name of a file"
             ));
         }
         let extension = path
@@ -126,18 +128,21 @@ impl Output {
         if extension != format.extension() && KNOWN.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
-                "its name promises .{extension}, but the file is a .{ours}; give {flag} a name with this \
-                 ending"
+                "the name ends in .{extension}, but the command writes a .{ours} file; give {flag} a \
+                 name that ends in .{ours}"
             ));
         }
-        // Before the path is resolved: a pipe has none, although the link /dev/stdout leads to it.
+        // Check the path before resolving it: a pipe has no resolved path, although the link /dev/stdout
+        // points to it.
         if let Ok(there) = std::fs::metadata(path) {
             if there.is_dir() {
-                return refuse(format!("it is a folder; give {flag} the name of a file"));
+                return refuse(format!(
+                    "the path is a folder; give {flag} the name of a file"
+                ));
             }
             if !there.is_file() {
                 return refuse(format!(
-                    "it is no ordinary file (a device or a pipe); give {flag} another name"
+                    "the path is a device or a pipe, not an ordinary file; give {flag} another name"
                 ));
             }
         }
@@ -145,7 +150,7 @@ impl Output {
             Ok(target) => target,
             Err(_) if path.is_symlink() => {
                 return refuse(format!(
-                    "it is a link to nothing; remove it or give {flag} another name"
+                    "the path is a link to a missing file; remove the link, or give {flag} another name"
                 ));
             }
             Err(_) => path.to_owned(),
@@ -153,13 +158,13 @@ impl Output {
         let folder = folder(&target);
         if !folder.is_dir() {
             return refuse(format!(
-                "there is no folder {}; make it, or give {flag} a file in another",
+                "the folder {} does not exist; create it, or give {flag} a file in another folder",
                 folder.display()
             ));
         }
         if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
             return refuse(format!(
-                "that is the input itself; give {flag} another name"
+                "the path is the input itself; give {flag} another name"
             ));
         }
         if target.exists() {
@@ -168,17 +173,17 @@ impl Output {
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
                 .map_err(|e| {
                     refusal(format!(
-                        "the file there cannot be read ({e}); give {flag} another name"
+                        "the existing file cannot be read ({e}); give {flag} another name"
                     ))
                 })?;
             if !begins.is_empty() && begins != format.magic() {
                 return refuse(format!(
-                    "the file there is no .{}; remove it, or give {flag} another name",
+                    "the existing file is not a .{} file; remove it, or give {flag} another name",
                     format.extension()
                 ));
             }
         }
-        // Only an attempt shows reliably whether the folder is writable.
+        // Only a test file shows reliably if the folder is writable.
         sightline_files::check(&target).map_err(|e| {
             refusal(format!(
                 "{e}; give {flag} a file in a folder where you may write"
@@ -190,7 +195,7 @@ impl Output {
         })
     }
 
-    /// Whether both are one file.
+    /// Returns true if both outputs are the same file.
     pub fn is(&self, other: &Self) -> bool {
         let place = |output: &Self| {
             let folder = std::fs::canonicalize(folder(&output.target)).unwrap_or_default();
@@ -202,15 +207,15 @@ impl Output {
         place(self) == place(other)
     }
 
-    /// The path as the user gave it.
+    /// Returns the path as the user gave it.
     pub fn path(&self) -> &Path {
         &self.named
     }
 
-    /// Writes the file with `fill`, and moves it to its place if `fill` succeeds.
+    /// Writes the file with `fill`, and moves it to its path if `fill` succeeds.
     ///
     /// # Errors
-    /// The error of `fill`, or [`crate::ErrorKind::Internal`] when the file cannot be written.
+    /// The error of `fill`, or [`crate::ErrorKind::Internal`] if the file cannot be written.
     pub fn write(
         &self,
         fill: impl FnOnce(&mut dyn Write) -> Result<(), Error>,
@@ -220,39 +225,39 @@ impl Output {
         part.place()
     }
 
-    /// Begins to write the file, under a temporary name.
+    /// Creates the file under a temporary name.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Internal`] when the file cannot be created.
-    pub fn begin(&self) -> Result<Part<'_>, Error> {
+    /// [`crate::ErrorKind::Internal`] if the file cannot be created.
+    pub fn begin(&self) -> Result<PartialFile<'_>, Error> {
         let file = NewFile::begin(&self.target, Access::Shared);
-        Ok(Part {
-            of: self,
+        Ok(PartialFile {
+            output: self,
             file: file.map_err(|e| Error::writing(&self.named, &e))?,
         })
     }
 }
 
-/// A file under a temporary name. Dropped before [`Part::place`], the file is removed.
+/// A file under a temporary name. If it is dropped before [`PartialFile::place`], the file is removed.
 #[derive(Debug)]
-pub struct Part<'a> {
-    of: &'a Output,
+pub struct PartialFile<'a> {
+    output: &'a Output,
     file: NewFile,
 }
 
-impl Part<'_> {
-    /// Syncs the complete file and moves it to its place.
+impl PartialFile<'_> {
+    /// Syncs the complete file and moves it to its path.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Internal`] when the file cannot be written, synced or moved.
+    /// [`crate::ErrorKind::Internal`] if the file cannot be written, synced or moved.
     pub fn place(self) -> Result<(), Error> {
         self.file
             .commit()
-            .map_err(|e| Error::writing(&self.of.named, &e))
+            .map_err(|e| Error::writing(&self.output.named, &e))
     }
 }
 
-impl Write for Part<'_> {
+impl Write for PartialFile<'_> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.file.write(bytes)
     }
@@ -271,19 +276,19 @@ mod tests {
     }
 
     #[test]
-    fn nothing_but_an_older_result_is_replaced() {
+    fn only_older_result_is_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         std::fs::write(at("model"), "v 0 0 0\n").unwrap();
         std::fs::write(at("old.pvs"), b"\x89PVS\r\n\x1a\nrest").unwrap();
         std::fs::write(at("empty.pvs"), b"").unwrap();
         std::fs::create_dir(at("folder")).unwrap();
-        assert!(check(&at("model")).unwrap_err().contains("no .pvs"));
+        assert!(check(&at("model")).unwrap_err().contains("not a .pvs"));
         assert!(check(&at("folder")).unwrap_err().contains("folder"));
         assert!(
             check(&at("none/a.pvs"))
                 .unwrap_err()
-                .contains("there is no folder")
+                .contains("does not exist")
         );
         assert!(check(&at("a.glb")).unwrap_err().contains(".glb"));
         assert!(
@@ -301,16 +306,16 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn devices_are_refused_and_links_followed() {
+    fn devices_are_rejected_and_links_followed() {
         assert!(
             check(Path::new("/dev/null"))
                 .unwrap_err()
-                .contains("no ordinary file")
+                .contains("not an ordinary file")
         );
         let dir = tempfile::tempdir().unwrap();
         let (real, link) = (dir.path().join("real.pvs"), dir.path().join("link.pvs"));
         std::os::unix::fs::symlink(&real, &link).unwrap();
-        assert!(check(&link).unwrap_err().contains("link to nothing"));
+        assert!(check(&link).unwrap_err().contains("link to a missing file"));
         std::fs::write(&real, b"").unwrap();
         let write = |out: &mut dyn Write| out.write_all(b"new").map_err(Error::internal);
         check(&link).unwrap().write(write).unwrap();
@@ -319,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scene_itself_is_never_the_output_and_a_failed_write_leaves_nothing() {
+    fn scene_is_never_output_and_failed_write_leaves_no_file() {
         let dir = tempfile::tempdir().unwrap();
         let scene = dir.path().join("scene");
         std::fs::write(&scene, b"\x89PVS").unwrap();

@@ -1,10 +1,11 @@
-//! Resources of this process: the pool of threads, the async runtime, and its name.
+//! Resources of this process: the thread pool, the async runtime, and the name of the process.
 
 use std::sync::{Mutex, PoisonError};
 
 use crate::error::Error;
 
-/// Returns the number of threads to use: the given one, otherwise one per core; 1 to 1024.
+/// Returns the number of threads to use: `given`, or otherwise the number of cores. The result is limited to
+/// 1 to 1024.
 pub fn threads(given: Option<usize>) -> usize {
     given
         .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
@@ -12,12 +13,12 @@ pub fn threads(given: Option<usize>) -> usize {
 }
 
 /// Sets the size of the process's thread pool, which reads scenes, samples, answers queries and codes
-/// results. It has an effect only before the first use of the pool; functions of this library that need the
-/// pool make this call with one thread per core. Tiles run on separate threads, so that no tile waits inside
-/// another one.
+/// results. The call has an effect only before the first use of the pool. Functions of this library that need
+/// the pool make this call with one thread per core. Tiles run on separate threads, so that no tile waits
+/// inside another one.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Internal`] for threads that cannot be started.
+/// [`crate::ErrorKind::Internal`] if threads cannot be started.
 pub fn use_threads(threads: usize) -> Result<(), Error> {
     static IS_SET: Mutex<bool> = Mutex::new(false);
     let mut is_set = IS_SET.lock().unwrap_or_else(PoisonError::into_inner);
@@ -25,7 +26,8 @@ pub fn use_threads(threads: usize) -> Result<(), Error> {
         let built = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build_global();
-        // Only a thread that cannot start has a source; another part of the process may have set the pool.
+        // Only the error of a thread that cannot start has a source. Otherwise, another part of the process
+        // has set the size of the pool.
         if let Err(e) = built
             && std::error::Error::source(&e).is_some()
         {
@@ -36,10 +38,10 @@ pub fn use_threads(threads: usize) -> Result<(), Error> {
     Ok(())
 }
 
-/// Creates an async runtime. Its two threads only move bytes.
+/// Creates an async runtime with two threads, which only transfer bytes.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Internal`] for threads that cannot be started.
+/// [`crate::ErrorKind::Internal`] if threads cannot be started.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Error> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -48,11 +50,11 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Error> {
         .map_err(Error::internal)
 }
 
-/// Creates a name for this process from the host's name, the process's number and a random number: containers
+/// Creates a name for this process from the host's name, the process's number and a random number. Containers
 /// may share the first two.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Internal`] for a system without random numbers.
+/// [`crate::ErrorKind::Internal`] if the system has no random numbers.
 pub fn default_name() -> Result<String, Error> {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String = host

@@ -1,4 +1,4 @@
-//! The measurement of progress: counts, the rate, and the time left.
+//! The measurement of progress: counts, the sampling rate, and the remaining time.
 
 use std::time::Instant;
 
@@ -8,11 +8,11 @@ use sightline_proto::v1;
 use crate::client::Job;
 use crate::observer::{JobProgress, Observer, Progress, TimeLeft};
 
-/// The time left is known for a job with few tiles from a fifth of its cells on: the cells of a tile do not
-/// take the same time, the first ones take long, and most end together.
+/// Maximum number of tiles of a small job. The remaining time of a small job is unknown until a fifth of the
+/// cells is done, because the first cells of a tile take long, and most cells end together.
 const FEW_TILES: u32 = 8;
 
-/// A count of things that take about the same time each.
+/// A count of items that take about the same time each.
 pub(crate) struct Counter<'a> {
     what: &'static str,
     start: Instant,
@@ -29,7 +29,7 @@ impl<'a> Counter<'a> {
         }
     }
 
-    /// Gives the observer the numbers of finished things and of all things.
+    /// Reports the numbers of finished items and of all items to the observer.
     pub(crate) fn show(&self, done: u64, total: u64) {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = total.saturating_sub(done) as f64;
@@ -44,7 +44,7 @@ impl<'a> Counter<'a> {
     }
 }
 
-/// The counts of a job when it was first observed: the work of earlier runs.
+/// The numbers of ended tiles, finished cells and samples of a job when this process first observed the job.
 #[derive(Clone, Copy)]
 struct AtStart {
     tiles: u64,
@@ -60,8 +60,8 @@ pub(crate) struct JobRate {
 }
 
 impl JobRate {
-    /// Creates the counts of a job that is observed from now on. With `workers_here`, the job's workers run
-    /// in this process.
+    /// Creates the counts of a job that is observed from now on. If `workers_here` is true, the job's workers
+    /// run in this process.
     pub(crate) fn new(workers_here: bool) -> Self {
         Self {
             start: Instant::now(),
@@ -70,7 +70,7 @@ impl JobRate {
         }
     }
 
-    /// Gives an observer the progress of the job.
+    /// Reports the progress of the job to an observer.
     pub(crate) fn show(&mut self, job: &Job, observer: &dyn Observer) {
         let message = job.message();
         let (left, samples_per_second) = (self.left(message), self.samples_per_second(message));
@@ -110,12 +110,12 @@ impl JobRate {
             / self.start.elapsed().as_secs_f64().max(1e-3)
     }
 
-    /// Estimates the time left.
+    /// Estimates the remaining time of the job.
     fn left(&mut self, job: &v1::Job) -> TimeLeft {
         let first = self.first(job);
         let seconds = self.start.elapsed().as_secs_f64();
         let ended = u64::from(job.tiles_done + job.tiles_set_aside);
-        // Cells are counted if their total is known, because a small job may be a single tile.
+        // If the total number of cells is known, count cells, because a small job may be a single tile.
         let (here, left) = match job.cells_total {
             0 => (
                 ended.saturating_sub(first.tiles),
@@ -134,7 +134,7 @@ impl JobRate {
         } else if left == 0 {
             TimeLeft::Finishing
         } else if here > 0 && (job.tiles_total > FEW_TILES || here * 4 >= left) {
-            // No job runs much longer than its time budget.
+            // A job does not run much longer than its time budget.
             let budget = job
                 .spec
                 .as_ref()

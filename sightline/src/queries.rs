@@ -1,4 +1,4 @@
-//! Answers about stored results that need tracers or exact queries: for the coordinator, which has neither.
+//! Answers to queries that need tracers or exact queries, for the coordinator, which has neither.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,17 +6,18 @@ use std::sync::Arc;
 use sightline_coordinator::SceneQueries;
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
+use sightline_viewcells::CellIndex;
 
 use crate::explain::explain_as_message;
 use crate::measure::{MeasureOptions, MeasureReport, measure_in};
 use crate::observer::Observer;
 use crate::result::NamedResult;
 
-/// The name of the result in errors.
+/// The name of the result in error messages, which have no path.
 const RESULT: &str = "the stored result";
 
-/// The answers of this library, for a coordinator of this process.
+/// The query program of this library, for a coordinator in this process.
 ///
 /// ```
 /// let queries = std::sync::Arc::new(sightline::LibraryQueries);
@@ -25,7 +26,7 @@ const RESULT: &str = "the stored result";
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LibraryQueries;
 
-/// An observer that cancels when the client of a call is gone.
+/// An observer that cancels if the client of a call has disconnected.
 struct Caller<'a>(&'a (dyn Fn() -> bool + Sync));
 
 impl Observer for Caller<'_> {
@@ -39,12 +40,12 @@ impl SceneQueries for LibraryQueries {
         &self,
         pvs: &Pvs,
         scene: Scene,
-        cell_and_triangle: (u32, u32),
+        cell: CellIndex,
+        triangle: TriangleId,
         is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::WhyResponse, String> {
         let result = NamedResult::new(pvs, Path::new(RESULT));
-        explain_as_message(result, &scene, cell_and_triangle, &|| is_gone())
-            .map_err(|e| e.to_string())
+        explain_as_message(result, &scene, cell, triangle, &|| is_gone()).map_err(|e| e.to_string())
     }
 
     fn measure(
@@ -64,13 +65,17 @@ impl SceneQueries for LibraryQueries {
         let measured = measure_in(result, Arc::new(scene), &options, &Caller(is_gone));
         let report = match measured.map_err(|e| e.to_string())? {
             MeasureReport::Frames(measured) => measured.report,
-            MeasureReport::Exact(_) => return Err("frames were measured exactly".to_owned()),
+            MeasureReport::Exact(_) => {
+                return Err("the measurement returned exact sets in place of \
+            frames; report this fault"
+                    .to_owned());
+            }
         };
         let frame = |frame: &sightline_measure::Frame| {
             let [x, y, z] = frame.viewpoint;
             v1::WrongFrame {
                 viewpoint: Some(v1::Point { x, y, z }),
-                cell: frame.cell,
+                cell: frame.cell.0,
                 error: frame.error,
             }
         };

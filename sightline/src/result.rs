@@ -1,15 +1,15 @@
-//! Results: opening them, and checking that a result was baked from a given scene.
+//! Results: reading result files, and checking that a result was baked from a given scene.
 
 use std::path::Path;
 
 use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::Scene;
-use sightline_scene::kinds::{Kind, KindCount};
+use sightline_scene::kinds::{KindCount, SurfaceKind};
 
 use crate::error::Error;
 use crate::words::plural;
 
-/// An open result with its name in messages.
+/// An open result with its name for messages.
 ///
 /// ```no_run
 /// use sightline::{NamedResult, open};
@@ -24,17 +24,17 @@ use crate::words::plural;
 pub struct NamedResult<'a> {
     /// The result.
     pub pvs: &'a Pvs,
-    /// The name in messages: a path.
+    /// The name for messages, which is a path.
     pub name: &'a Path,
 }
 
 impl<'a> NamedResult<'a> {
-    /// Names a result.
+    /// Creates a result with a name.
     pub fn new(pvs: &'a Pvs, name: &'a Path) -> Self {
         Self { pvs, name }
     }
 
-    /// Returns the description of the bake; null for a result of another program without one.
+    /// Returns the description of the bake, or null if another program wrote a result without one.
     pub fn info(&self) -> serde_json::Value {
         serde_json::from_str(self.pvs.info_json()).unwrap_or_default()
     }
@@ -57,66 +57,66 @@ impl<'a> NamedResult<'a> {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] with the file and the reason.
+/// [`crate::ErrorKind::Input`] with the file and the reason, if the file cannot be read or is damaged.
 pub fn open(path: &Path) -> Result<Pvs, Error> {
     Pvs::open(path).map_err(|e| match e {
         PvsError::Open { .. } => {
-            Error::input(format!("{e}; name a file that `sightline bake` wrote"))
+            Error::input(format!("{e}; give a file that `sightline bake` wrote"))
         }
         PvsError::Memory { .. } => Error::internal(format!("{}: {e}", path.display())),
         e => Error::input(format!("{}: {e}", path.display())),
     })
 }
 
-/// Checks that a result was baked from a scene. `path` is the scene's in messages.
+/// Checks that a result was baked from `scene`. `path` is the path of the scene, for messages.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for another scene.
+/// [`crate::ErrorKind::Input`] if the result was baked from another scene.
 pub fn check_scene(scene: &Scene, path: &Path, result: NamedResult<'_>) -> Result<(), Error> {
     let (pvs, name) = (result.pvs, result.name.display());
     if scene.len() != pvs.triangle_count() {
         return Err(Error::input(format!(
-            "{} has {}, but {name} was baked from another scene, one of {}; name that scene",
+            "{} has {}, but {name} was baked from another scene with {} triangles; give that scene",
             path.display(),
             plural(scene.len() as usize, "triangle"),
             pvs.triangle_count()
         )));
     }
-    // A result of another program may lack the digest. Results of earlier versions name the scene without
+    // A result of another program may lack the digest. Results of earlier versions identify the scene without
     // the positions of its objects in a glTF file.
     let info = result.info();
     let digests = [scene.digest(), scene.digest_without_sources()].map(|d| d.to_string());
     match info["spec"]["scene"].as_str() {
         Some(digest) if digests.iter().all(|own| own != digest) => Err(Error::input(format!(
-            "{name} was baked from another scene than {}, or with other flags about what blocks and shows; \
-             name that scene, or bake again",
+            "{name} was baked from another scene than {}, or with other flags for kinds of \
+             surfaces; give that scene, or bake again",
             path.display()
         ))),
         Some(_) | None => Ok(()),
     }
 }
 
-/// Checks that a scene has no alpha masks, which exact queries do not read.
+/// Checks that a scene has no alpha masks, which exact queries do not support.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a scene with masks.
+/// [`crate::ErrorKind::Usage`] if the scene has alpha masks.
 pub fn without_masks(scene: &Scene) -> Result<(), Error> {
     if scene.kinds().any_masked() {
         return Err(Error::usage(
-            "exact queries do not read alpha textures; leave out --alpha-textures, so that masked geometry \
-             is see-through as a whole, or bake with --method aggressive",
+            "exact queries do not read alpha textures; omit --alpha-textures, so that masked \
+             geometry is see-through as a whole, or bake with --method aggressive",
         )
         .about("alpha-textures"));
     }
     Ok(())
 }
 
-/// Returns the counts of kinds in the description of a result.
+/// Returns the numbers of triangles of each kind from the description (`info`) of a result.
 pub fn kind_counts(info: &serde_json::Value) -> Vec<KindCount> {
     let counts = info["kinds"]["counts"].as_array().map_or(&[][..], |c| c);
     let count = |c: &serde_json::Value| {
         Some(KindCount {
-            kind: Kind::from_name(c["kind"].as_str()?)?,
+            kind: SurfaceKind::from_name(c["kind"].as_str()?)?,
             reason: c["reason"].as_str()?.to_owned(),
             triangles: c["triangles"].as_u64()?,
         })

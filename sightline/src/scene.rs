@@ -1,11 +1,11 @@
-//! The reading of scenes: from a file or from memory, with the kinds and sides of triangles.
+//! The reading of scenes from a file or from memory, with the kinds and sides of triangles.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use sightline_scene::kinds::Kind;
-use sightline_scene::{Object, Rule, Scene, Triangle, load};
+use sightline_scene::kinds::SurfaceKind;
+use sightline_scene::{KindRule, Object, Scene, Triangle, load};
 
 use crate::error::Error;
 use crate::observer::{Observer, warn};
@@ -22,14 +22,14 @@ use crate::result::{NamedResult, check_scene};
 /// ```
 #[derive(Clone, Debug)]
 pub enum SceneSource {
-    /// A file: .obj, .ply, .gltf or .glb.
+    /// A file with the extension .obj, .ply, .gltf or .glb.
     File(PathBuf),
-    /// Triangles in the order of their ids, and the objects that they form, in world space.
+    /// Triangles in world space in the order of their ids, and the objects that they form.
     Triangles(Vec<Triangle>, Vec<Object>),
 }
 
 impl SceneSource {
-    /// Returns the file, or a word that stands for the mesh in messages.
+    /// Returns the path of the file, or `mesh` for triangles, for messages.
     pub fn path(&self) -> &Path {
         match self {
             Self::File(path) => path,
@@ -38,7 +38,7 @@ impl SceneSource {
     }
 }
 
-/// The options of reading a scene: the kinds of its triangles, and the sides that they have.
+/// The options for reading a scene: the kinds of its triangles, and their sides.
 ///
 /// ```
 /// let options: sightline::LoadOptions =
@@ -49,13 +49,14 @@ impl SceneSource {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LoadOptions {
-    /// Kinds of objects and materials by globs over their names. Of several rules that match a name, the last
-    /// one counts. As JSON, a rule is a pair of a kind's name and a glob.
+    /// Kinds of objects and materials by globs over their names. If several rules match a name, the last one
+    /// counts. In JSON, a rule is a pair of a kind's name and a glob.
     #[serde(with = "rules")]
-    pub rules: Vec<Rule>,
-    /// True if the textures of masked materials are read.
+    pub rules: Vec<KindRule>,
+    /// True to read the textures of masked materials.
     pub alpha_textures: bool,
-    /// True if triangles show and block from their front only.
+    /// True if triangles show and block only from their front. Materials with doubleSided have two front
+    /// sides.
     pub cull_back_faces: bool,
 }
 
@@ -65,16 +66,21 @@ impl LoadOptions {
         *self == Self::default()
     }
 
-    /// Returns the options with which a result was baked. `name` is the result's in messages.
+    /// Returns the options with which a result was baked. `name` is the name of the result, for messages.
     fn from_info(info: &serde_json::Value, name: &Path) -> Result<Self, Error> {
         let rules = info["kinds"]["rules"].as_array().map_or(&[][..], |r| r);
         let rule = |r: &serde_json::Value| {
-            Rule::new(Kind::from_name(r["kind"].as_str()?)?, r["glob"].as_str()?).ok()
+            KindRule::new(
+                SurfaceKind::from_name(r["kind"].as_str()?)?,
+                r["glob"].as_str()?,
+            )
+            .ok()
         };
         let rules = rules.iter().map(|r| {
             rule(r).ok_or_else(|| {
                 Error::input(format!(
-                    "{}: the rule about kinds {r} is unknown; bake the scene again",
+                    "{}: the rule {r} about kinds of triangles is unknown to this version; bake the scene \
+                     again",
                     name.display()
                 ))
             })
@@ -87,24 +93,30 @@ impl LoadOptions {
     }
 }
 
-/// Rules as pairs of names, for serde.
+/// The serialisation of rules as pairs of names, for serde.
 mod rules {
     use serde::de::Error as _;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
-    use sightline_scene::Rule;
-    use sightline_scene::kinds::Kind;
+    use sightline_scene::KindRule;
+    use sightline_scene::kinds::SurfaceKind;
 
-    pub(super) fn serialize<S: Serializer>(rules: &[Rule], to: S) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(rules: &[KindRule], to: S) -> Result<S::Ok, S::Error> {
         let pairs: Vec<(&str, &str)> = rules.iter().map(|r| (r.kind.name(), &*r.glob)).collect();
         pairs.serialize(to)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Rule>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Vec<KindRule>, D::Error> {
         let pairs = Vec::<(String, String)>::deserialize(from)?;
         let rule = |(kind, glob): &(String, String)| {
-            let kind = Kind::from_name(kind)
-                .ok_or_else(|| D::Error::custom(format!("{kind:?} is not a kind of triangles")))?;
-            Rule::new(kind, glob).map_err(D::Error::custom)
+            let kind = SurfaceKind::from_name(kind).ok_or_else(|| {
+                D::Error::custom(format!(
+                    "{kind:?} is not a kind of triangles; see \
+                docs/kinds.md"
+                ))
+            })?;
+            KindRule::new(kind, glob).map_err(D::Error::custom)
         };
         pairs.iter().map(rule).collect()
     }
@@ -112,7 +124,7 @@ mod rules {
 
 /// Reads a scene. The observer receives warnings about the parts of the file that the program ignores.
 ///
-/// Coordinates are in world space, in the units of the file; triangles are numbered in the order of the file.
+/// Coordinates are in world space, in the units of the file. Triangles are numbered in the order of the file.
 ///
 /// ```
 /// use sightline::{LoadOptions, SceneSource, Silent, read_scene};
@@ -127,7 +139,7 @@ mod rules {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] with the file, the element and the reason.
+/// [`crate::ErrorKind::Input`] with the file, the element and the reason, if the scene cannot be read.
 pub fn read_scene(
     source: &SceneSource,
     options: &LoadOptions,
@@ -139,8 +151,8 @@ pub fn read_scene(
         alpha_textures,
         cull_back_faces,
     } = options.clone();
-    let options = load::Options {
-        limits: load::Limits::default(),
+    let options = load::LoadOptions {
+        limits: load::LoadLimits::default(),
         rules,
         alpha_textures,
         cull_back_faces,
@@ -150,7 +162,8 @@ pub fn read_scene(
         SceneSource::File(path) => sightline_scene::load_with(path, &options),
         SceneSource::Triangles(triangles, objects) => load::from_memory(
             &path.display().to_string(),
-            (triangles.clone(), objects.clone()),
+            triangles.clone(),
+            objects.clone(),
             &options,
         ),
     }?;
@@ -160,10 +173,11 @@ pub fn read_scene(
     Ok(Arc::new(loaded.scene))
 }
 
-/// Reads the scene of a result, with the options of the user, or otherwise the options of the bake.
+/// Reads the scene of a result. The options are `options` if any are given, and otherwise the options of the
+/// bake.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`], also for another scene than that of the result.
+/// [`crate::ErrorKind::Input`] if the scene cannot be read or is not the scene of the result.
 pub fn read_scene_of(
     source: &SceneSource,
     options: &LoadOptions,

@@ -1,20 +1,20 @@
-//! Tracers of this machine: the usable ones, and opening one for a whole scene.
+//! Tracers of this machine: the list of usable ones, and the opening of one for a whole scene.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sightline_model::{NamedValue, TracerChoice};
 use sightline_scene::Scene;
-use sightline_trace::{Backend, CubeSpec};
+use sightline_trace::{CubeSpec, Tracer};
 use sightline_worker::{Backends, TracerSelection};
 
 use crate::error::Error;
 use crate::observer::{Observer, note};
 
-/// Notes each tracer that does not work here.
+/// Passes the observer a note for each tracer that does not work on this machine.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Internal`] if none works.
+/// [`crate::ErrorKind::Internal`] if no tracer works.
 pub fn note_missing(backends: &Backends, observer: &dyn Observer) -> Result<(), Error> {
     let missing = backends.missing();
     if backends.profiles().is_empty() {
@@ -29,7 +29,7 @@ pub fn note_missing(backends: &Backends, observer: &dyn Observer) -> Result<(), 
     Ok(())
 }
 
-/// The tracer of a job: a choice, or none, for jobs that need none.
+/// The tracer of a job, or none for jobs that do not need one.
 ///
 /// ```
 /// use sightline::TracerOption;
@@ -52,6 +52,7 @@ impl NamedValue for TracerOption {
         Self(Some(TracerChoice::Auto)),
         Self(Some(TracerChoice::Gpu)),
         Self(Some(TracerChoice::Cpu)),
+        Self(Some(TracerChoice::Embree)),
         Self(None),
     ];
 
@@ -86,19 +87,21 @@ impl<'de> Deserialize<'de> for TracerOption {
     }
 }
 
-/// Returns the choice of a tracer as the type of the worker crate.
+/// Converts the choice of a tracer into the type of the worker crate.
 pub fn selection(tracer: TracerChoice) -> TracerSelection {
     match tracer {
         TracerChoice::Auto => TracerSelection::Auto,
         TracerChoice::Gpu => TracerSelection::Gpu,
         TracerChoice::Cpu => TracerSelection::Cpu,
+        TracerChoice::Embree => TracerSelection::Embree,
     }
 }
 
-/// Notes that a result of one kind of tracer, by its numerics profile, is measured with another kind.
+/// Passes the observer a note if the bake and the measurement of a result use different kinds of tracers.
+/// `made` and `measured` are their numerics profiles, which begin with `cpu`, `embree` or `gpu`.
 pub fn note_other(made: &str, measured: &str, observer: &dyn Observer) {
     let kind = |profile: &str| {
-        ["cpu", "gpu"]
+        ["cpu", "embree", "gpu"]
             .into_iter()
             .find(|k| profile.split('/').next() == Some(k))
     };
@@ -108,15 +111,16 @@ pub fn note_other(made: &str, measured: &str, observer: &dyn Observer) {
         note(
             observer,
             format!(
-                "note: the result was made on the {made} and is judged on the {measured}; where coplanar \
-                 triangles overlap, they see different ones. --backend {made} judges as it was made"
+                "note: the result was baked with the backend {made}, but is measured with {measured}; where \
+                 coplanar triangles overlap, the two may show different triangles. --backend {made} \
+                 measures like the bake"
             ),
         );
     }
 }
 
-/// Opens a tracer that renders or traces a whole scene on this machine; also returns its numerics profile.
-/// Embree does both well, so with `auto` the GPU is probed only if Embree is missing.
+/// Opens a tracer that renders or traces a whole scene on this machine. Returns the tracer and its numerics
+/// profile. The cpu backend does both well, so `auto` selects it without a probe of the GPU.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Internal`] if no tracer of the choice works here.
@@ -125,15 +129,14 @@ pub fn open_tracer(
     scene: &Arc<Scene>,
     spec: CubeSpec,
     observer: &dyn Observer,
-) -> Result<(String, Arc<dyn Backend>), Error> {
-    let probe = |selection| Backends::probe(selection, Default::default());
-    let mut backends = probe(match choice {
-        TracerChoice::Auto => TracerSelection::Cpu,
-        choice => selection(choice),
-    });
-    if choice == TracerChoice::Auto && backends.profiles().is_empty() {
-        backends = probe(TracerSelection::Auto);
-    }
+) -> Result<(String, Arc<dyn Tracer>), Error> {
+    let backends = Backends::probe(
+        match choice {
+            TracerChoice::Auto => TracerSelection::Cpu,
+            choice => selection(choice),
+        },
+        Default::default(),
+    );
     note_missing(&backends, observer)?;
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
     let backend = backends

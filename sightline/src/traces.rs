@@ -7,7 +7,7 @@ use sightline_traces::{Settings, Traces, TracesError};
 
 use crate::error::Error;
 
-/// The collector of traces. By default there is none, and no span is sent.
+/// The collector of traces. Default: no collector, and no span is sent.
 ///
 /// ```
 /// use sightline::TraceOptions;
@@ -18,19 +18,19 @@ use crate::error::Error;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TraceOptions {
-    /// The address of the collector, which speaks OTLP over gRPC, such as http://127.0.0.1:4317.
+    /// The address of the collector, which accepts OTLP over gRPC, such as http://127.0.0.1:4317.
     pub url: Option<String>,
-    /// The authority of the collector's certificate, as PEM. Default: the
-    /// authorities of the system.
+    /// The path of the authority of the collector's certificate, as PEM. Default: the authorities of the
+    /// system.
     pub ca: Option<PathBuf>,
 }
 
 impl TraceOptions {
-    /// Begins to send, if there is a collector. `name` is the name of this process of the service.
+    /// Starts sending spans if a collector is given. `name` identifies this process within the service.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for text that is not an address, [`crate::ErrorKind::Input`] for a file
-    /// that cannot be read.
+    /// [`crate::ErrorKind::Usage`] if the address is invalid, or [`crate::ErrorKind::Input`] if a file cannot
+    /// be read.
     pub fn start(&self, service: &'static str, name: &str) -> Result<Traces, Error> {
         let Some(url) = self.url.as_ref().filter(|url| !url.is_empty()) else {
             return Ok(Traces::default());

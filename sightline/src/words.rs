@@ -1,16 +1,16 @@
-//! Numbers, durations and scenes in words, for notes, errors and the command.
+//! The formatting of numbers, durations and scenes for notes, errors and the command.
 
 use std::time::Duration;
 
 use sightline_scene::Scene;
-use sightline_scene::kinds::{Kind, KindCount};
+use sightline_scene::kinds::{KindCount, SurfaceKind};
 
-/// Returns a number with its noun, in the plural unless the number is 1.
+/// Formats a number with its noun, in the plural unless the number is 1.
 pub fn plural(n: usize, noun: &str) -> String {
     format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
 }
 
-/// Returns a duration with a unit that suits its length.
+/// Formats a duration in a unit that suits its length.
 pub fn human(d: Duration) -> String {
     let s = d.as_secs_f64();
     match s {
@@ -21,7 +21,7 @@ pub fn human(d: Duration) -> String {
     }
 }
 
-/// Returns the kinds and sides of a scene in words, one line each.
+/// Formats the kinds and sides of a scene, one line each.
 pub fn scene_in_words(scene: &Scene) -> Vec<String> {
     let mut lines = kinds_in_words(&scene.kinds().counts());
     let one_sided = scene.sides().one_sided();
@@ -31,20 +31,20 @@ pub fn scene_in_words(scene: &Scene) -> Vec<String> {
     lines
 }
 
-/// Returns a line about culled back faces, with the number of triangles that have one side where it is known.
+/// Formats a line about culled back faces, with the number of one-sided triangles if it is known.
 pub fn sides_in_words(one_sided: Option<u64>) -> String {
     let count = one_sided.map_or(String::new(), |n| format!(" ({n} triangles)"));
     format!("back faces are culled: triangles without a double-sided material have one side{count}")
 }
 
-/// Returns the kinds of a scene in words, one line each.
+/// Formats the kinds of a scene, one line each.
 pub fn kinds_in_words(counts: &[KindCount]) -> Vec<String> {
     if counts.is_empty() {
         return vec![
-            "all triangles are opaque: no material, animation or flag says otherwise".to_owned(),
+            "all triangles are opaque: no material, animation or flag sets another kind".to_owned(),
         ];
     }
-    Kind::ALL
+    SurfaceKind::ALL
         .into_iter()
         .filter_map(|kind| {
             let counted: Vec<&KindCount> = counts.iter().filter(|c| c.kind == kind).collect();

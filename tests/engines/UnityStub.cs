@@ -1,5 +1,6 @@
-// A stub of the part of UnityEngine that examples/unity uses, and what runs the component: not Unity. It has no scale
-// and no rotation, and calls Start, LateUpdate and OnDisable as Unity's documentation says.
+// A stub of the part of UnityEngine that examples/unity uses, and a program that runs the component without
+// Unity. The transforms of the stub have no scale and no rotation. The program calls Start, LateUpdate and
+// OnDisable in the order of Unity's documentation.
 
 using System;
 using System.Collections.Generic;
@@ -72,14 +73,14 @@ namespace UnityEngine
     }
 }
 
-// Runs the component in a level with a renderer for each name of names.txt: for each line "x y z" of eyes.txt, in the
-// file's space, prints the cell and the names that are shown.
+// Runs the component in a level with a renderer for each name of names.txt. For each line "x y z" of
+// eyes.txt, a point in the space of the file, prints the cell and the names of the shown renderers.
 static class UnityStubProgram
 {
     static void Call(object of, string message)
     {
         MethodInfo method = of.GetType().GetMethod(message, BindingFlags.Instance | BindingFlags.NonPublic);
-        if (method == null) throw new Exception("no " + message);
+        if (method == null) throw new Exception("the component has no method " + message);
         method.Invoke(of, null);
     }
 
@@ -97,7 +98,7 @@ static class UnityStubProgram
             foreach (string line in System.IO.File.ReadAllLines("eyes.txt"))
             {
                 float[] at = line.Split(' ').Select(float.Parse).ToArray();
-                // Unity's space has x the other way.
+                // The x axis of Unity's space has the opposite direction.
                 eye.transform.position = new UnityEngine.Vector3(10f - at[0], 20f + at[1], 30f + at[2]);
                 Call(culler, "LateUpdate");
                 var shown = all.Where(renderer => !renderer.forceRenderingOff).Select(renderer => renderer.name);

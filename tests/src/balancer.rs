@@ -1,11 +1,12 @@
-//! A balancer of TCP connections: each goes to the first of some addresses that takes it.
+//! A balancer of TCP connections: each connection goes to the first of its addresses that accepts the
+//! connection.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// Ends with the test that made it; connections that are open end with those they lead to.
+/// A running balancer, which ends with its test. An open connection ends with its server.
 pub struct Balancer {
     address: String,
     to: Arc<Mutex<Vec<String>>>,
@@ -13,7 +14,7 @@ pub struct Balancer {
 }
 
 impl Balancer {
-    /// A balancer on a free port of loopback before these addresses.
+    /// Starts a balancer on a free port of loopback, in front of these addresses.
     pub fn before(addresses: &[String]) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -26,7 +27,7 @@ impl Balancer {
                     return;
                 }
                 let Ok(stream) = stream else { continue };
-                // In turns, so that all of them are used.
+                // Connections start at different addresses in turn, so that all of them are used.
                 let addresses = all.lock().unwrap().clone();
                 let order = (0..addresses.len()).map(|i| &addresses[(turn + i) % addresses.len()]);
                 if let Some(other) = order
@@ -41,12 +42,12 @@ impl Balancer {
         Self { address, to, over }
     }
 
-    /// Where it listens, such as `http://127.0.0.1:41234`.
+    /// Returns the address of the balancer, such as `http://127.0.0.1:41234`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// Connections go to these addresses from now on.
+    /// Sends new connections to these addresses from now on.
     pub fn lead_to(&self, addresses: &[String]) {
         *self.to.lock().unwrap() = addresses.to_vec();
     }
@@ -55,12 +56,12 @@ impl Balancer {
 impl Drop for Balancer {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
-        // Wakes the thread that waits for connections.
+        // The connection wakes the thread that waits for connections.
         drop(TcpStream::connect(&self.address));
     }
 }
 
-/// Copies what one stream yields into the other until either ends.
+/// Copies the bytes of one stream to the other until one of them ends.
 fn join(from: &TcpStream, to: &TcpStream) {
     let (mut from, mut to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
     to.set_nodelay(true).unwrap();
@@ -70,7 +71,7 @@ fn join(from: &TcpStream, to: &TcpStream) {
             .read(&mut part)
             .and_then(|n| to.write_all(&part[..n]).map(|()| n))
         {}
-        // It may have ended already.
+        // The stream may have ended already.
         let _ = to.shutdown(Shutdown::Both);
         let _ = from.shutdown(Shutdown::Both);
     });

@@ -1,4 +1,4 @@
-//! Chromium without a window, driven by the WebDriver protocol (W3C) that chromedriver speaks.
+//! Chromium without a window, driven through chromedriver by the WebDriver protocol (W3C).
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::in_ci;
 
-/// A browser of its own, ended at the end.
+/// A separate browser, which ends when it is dropped.
 pub struct Browser {
     driver: Child,
     port: u16,
@@ -17,7 +17,8 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts a browser with a window of this size; `None` without chromedriver, which in CI is a failure.
+    /// Starts a browser with a window of this size. Returns `None` without chromedriver, which is a failure
+    /// on CI.
     pub fn start([width, height]: [u32; 2]) -> Option<Self> {
         let driver = Command::new("chromedriver")
             .arg("--port=0")
@@ -44,13 +45,13 @@ impl Browser {
                     .ok()
             })
             .expect("chromedriver names its port");
-        // It goes on writing.
+        // chromedriver continues to write, so its output must be read.
         std::thread::spawn(move || lines.for_each(drop));
         let arguments = [
             "--headless=new".to_owned(),
             "--no-sandbox".to_owned(),
             "--disable-dev-shm-usage".to_owned(),
-            // WebGL2 without a GPU.
+            // This flag enables WebGL2 without a GPU.
             "--use-angle=swiftshader".to_owned(),
             "--enable-unsafe-swiftshader".to_owned(),
             "--hide-scrollbars".to_owned(),
@@ -75,7 +76,7 @@ impl Browser {
         self.session("POST", "/url", &json!({"url": url}));
     }
 
-    /// What the body of an asynchronous function in JavaScript returns.
+    /// Runs the body of an asynchronous JavaScript function, and returns its result.
     pub fn run(&self, body: &str) -> Value {
         let body = format!("return (async () => {{ {body} }})()");
         self.session(
@@ -85,7 +86,7 @@ impl Browser {
         )
     }
 
-    /// Clicks at a place of the window.
+    /// Clicks at a point of the window.
     pub fn click(&self, x: i32, y: i32) {
         let actions = json!([
             {"type": "pointerMove", "x": x, "y": y, "duration": 0},
@@ -99,7 +100,7 @@ impl Browser {
         );
     }
 
-    /// A picture of the window, as PNG in base64.
+    /// Returns a picture of the window, as PNG in base64.
     pub fn picture(&self) -> String {
         self.session("GET", "/screenshot", &Value::Null)
             .as_str()
@@ -107,7 +108,7 @@ impl Browser {
             .to_owned()
     }
 
-    /// The messages of the console since the last call.
+    /// Returns the messages of the console since the last call.
     pub fn messages(&self) -> Vec<String> {
         let log = self.session("POST", "/se/log", &json!({"type": "browser"}));
         log.as_array()
@@ -121,7 +122,7 @@ impl Browser {
         self.call(verb, &format!("/session/{}{path}", self.session), body)
     }
 
-    /// One request and its answer's value.
+    /// Sends one request, and returns the value in the answer.
     fn call(&self, verb: &str, path: &str, body: &Value) -> Value {
         let body = if body.is_null() {
             String::new()
@@ -161,7 +162,8 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // The browser would outlive its driver. Nothing here may panic: a test may be failing.
+        // Without this request, the browser would outlive its driver. This code must not panic, because a
+        // test may be failing.
         if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.port)) {
             let path = format!("/session/{}", self.session);
             let asked = write!(
@@ -169,12 +171,12 @@ impl Drop for Browser {
                 "DELETE {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
             );
             if asked.is_ok() {
-                // The answer comes when the browser has ended; the driver keeps the connection open.
+                // The answer arrives after the browser has ended, but the driver keeps the connection open.
                 drop(stream.set_read_timeout(Some(Duration::from_secs(10))));
                 drop(stream.read(&mut [0; 16]));
             }
         }
-        // It has ended, or it is ended now.
+        // The driver has ended, or ends now.
         drop(self.driver.kill());
         drop(self.driver.wait());
     }

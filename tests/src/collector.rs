@@ -1,4 +1,5 @@
-//! A collector of OpenTelemetry that keeps what it is sent, and one that takes connections and says nothing.
+//! OpenTelemetry collectors for tests: one that stores the received spans, and one that accepts connections
+//! and never answers.
 
 use std::collections::BTreeMap;
 use std::net::TcpListener;
@@ -15,39 +16,40 @@ use opentelemetry_proto::tonic::common::v1::any_value::Value;
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status};
 
-/// A span that has arrived.
+/// A received span.
 #[derive(Clone, Debug)]
-pub struct Taken {
-    /// The kind of process that sent it.
+pub struct ReceivedSpan {
+    /// The name of the service that sent the span.
     pub service: String,
-    /// The process.
+    /// The process that sent the span.
     pub instance: String,
-    /// What it is called.
+    /// The name of the span.
     pub name: String,
-    /// The ids of its trace, its own and its parent's, in hexadecimal digits; the last is empty without one.
+    /// The ids of the trace, of the span and of its parent, in hexadecimal digits. The last is empty without
+    /// a parent.
     pub ids: [String; 3],
-    /// Beginning and end in nanoseconds since 1970.
+    /// The start and the end in nanoseconds since 1970.
     pub times: [u64; 2],
-    /// Its attributes as text.
+    /// The attributes as text.
     pub attributes: BTreeMap<String, String>,
-    /// The traces and spans that it points to.
+    /// The ids of linked traces and spans.
     pub links: Vec<[String; 2]>,
-    /// Whether it failed, and why.
+    /// The reason of the failure, if the span failed.
     pub failed: Option<String>,
-    /// All of it as text, for what must not be there.
+    /// The whole span as text, for checks that it does not contain secrets.
     pub whole: String,
 }
 
-/// A collector on a free port, until the end of the test.
+/// A collector on a free port, which exists until the end of the test.
 pub struct Collector {
     url: String,
-    taken: Arc<Mutex<Vec<Taken>>>,
-    /// Holds the port.
+    taken: Arc<Mutex<Vec<ReceivedSpan>>>,
+    /// The listener of a silent collector, which keeps the port open.
     _silent: Option<TcpListener>,
     _runtime: Option<tokio::runtime::Runtime>,
 }
 
-struct Keeper(Arc<Mutex<Vec<Taken>>>);
+struct Keeper(Arc<Mutex<Vec<ReceivedSpan>>>);
 
 #[tonic::async_trait]
 impl TraceService for Keeper {
@@ -71,7 +73,7 @@ impl TraceService for Keeper {
                     .links
                     .iter()
                     .map(|link| [hex(&link.trace_id), hex(&link.span_id)]);
-                taken.push(Taken {
+                taken.push(ReceivedSpan {
                     service: resource["service.name"].clone(),
                     instance: resource["service.instance.id"].clone(),
                     name: span.name.clone(),
@@ -93,14 +95,14 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 fn texts(attributes: &[KeyValue]) -> BTreeMap<String, String> {
-    let text = |of: &KeyValue| match of.value.clone().and_then(|value| value.value) {
+    let text = |entry: &KeyValue| match entry.value.clone().and_then(|value| value.value) {
         Some(Value::StringValue(text)) => text,
         Some(Value::IntValue(number)) => number.to_string(),
-        other => panic!("{}: {other:?} is no text and no number", of.key),
+        other => panic!("{}: {other:?} is no text and no number", entry.key),
     };
     attributes
         .iter()
-        .map(|of| (of.key.clone(), text(of)))
+        .map(|entry| (entry.key.clone(), text(entry)))
         .collect()
 }
 
@@ -111,19 +113,19 @@ impl Default for Collector {
 }
 
 impl Collector {
-    /// One that keeps what it is sent.
+    /// Starts a collector that stores the received spans.
     pub fn new() -> Self {
         Self::at("127.0.0.1:0")
     }
 
-    /// The same at this address.
+    /// Starts a collector at this address that stores the received spans.
     pub fn at(address: &str) -> Self {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()
             .unwrap();
-        let taken = Arc::<Mutex<Vec<Taken>>>::default();
+        let taken = Arc::<Mutex<Vec<ReceivedSpan>>>::default();
         let listener = runtime
             .block_on(tokio::net::TcpListener::bind(address))
             .unwrap();
@@ -139,7 +141,7 @@ impl Collector {
         }
     }
 
-    /// One that takes connections and says nothing.
+    /// Starts a collector that accepts connections and never answers.
     pub fn silent() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
@@ -151,18 +153,18 @@ impl Collector {
         }
     }
 
-    /// Its address, for `--traces`.
+    /// Returns the address of the collector, for `--traces`.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Address and port alone.
+    /// Returns only the address and the port of the collector.
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://")
     }
 
-    /// What has arrived so far.
-    pub fn taken(&self) -> Vec<Taken> {
+    /// Returns the spans received so far.
+    pub fn taken(&self) -> Vec<ReceivedSpan> {
         self.taken.lock().unwrap().clone()
     }
 }

@@ -1,4 +1,4 @@
-//! A cluster in containers: one compose project of its own, and commands that are bounded in time.
+//! A cluster in containers: a separate compose project, and commands with a time limit.
 
 use std::fs;
 use std::net::TcpListener;
@@ -7,13 +7,13 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A command that takes longer hangs.
+/// Maximum duration of a command. A command that takes longer hangs.
 const HANGS: Duration = Duration::from_secs(600);
 
-/// One compose project of its own name, image and port. Dropping it takes everything down again, also after a
+/// A compose project with its own name, image and port. Dropping it removes all its containers, also after a
 /// panic.
 pub struct Compose {
-    /// `docker-compose`, or `docker compose`.
+    /// The compose program: `docker-compose`, or `docker compose`.
     program: &'static [&'static str],
     project: String,
     image: String,
@@ -22,7 +22,10 @@ pub struct Compose {
 }
 
 impl Compose {
-    /// Finds engine and compose and builds the image; `Err` says what this machine lacks for it.
+    /// Finds the engine and compose, and builds the image.
+    ///
+    /// # Errors
+    /// The reason, if this machine lacks a required program.
     pub fn prepare() -> Result<Self, String> {
         if !succeeds(&["docker", "info"]) {
             return Err("no container engine answers (docker info)".into());
@@ -42,8 +45,8 @@ impl Compose {
                 "the base image cannot be made here (deploy/base-image.sh says why)".into(),
             );
         }
-        // A port that is free now. Something else may take it before compose does; the test then fails saying
-        // so.
+        // The port is free now. If another process binds it before compose does, the test fails with an error
+        // about the port.
         let port = TcpListener::bind("127.0.0.1:0")
             .unwrap()
             .local_addr()
@@ -77,7 +80,7 @@ impl Compose {
         command
     }
 
-    /// Starts the containers that are missing for one coordinator and `workers` workers; running ones stay.
+    /// Starts the missing containers of one coordinator and `workers` workers. Running containers stay.
     pub fn up(&self, workers: usize) {
         let scale = format!("worker={workers}");
         run(self
@@ -85,12 +88,12 @@ impl Compose {
             .args(["up", "--detach", "--no-recreate", "--scale", &scale]));
     }
 
-    /// Ids of the worker containers that are running.
+    /// Returns the ids of the running worker containers.
     pub fn workers(&self) -> Vec<String> {
         self.running("worker")
     }
 
-    /// Id of the coordinator's container.
+    /// Returns the id of the coordinator's container.
     pub fn coordinator(&self) -> String {
         self.running("coordinator")
             .pop()
@@ -107,14 +110,14 @@ impl Compose {
             .collect()
     }
 
-    /// The network on which workers reach the coordinator.
+    /// Returns the name of the network on which workers reach the coordinator.
     pub fn network(&self) -> String {
         format!("{}_cluster", self.project)
     }
 }
 
-/// Returns the number of open files for a container: 65 536, or the hard limit of this process, which is the
-/// daemon's on machines whose daemon may not raise it.
+/// Returns the limit of open files for a container: 65 536, or the hard limit of this process. The hard limit
+/// is the daemon's limit on machines whose daemon may not raise it.
 fn open_files() -> u64 {
     let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
     let line = limits
@@ -133,7 +136,7 @@ pub fn docker(args: &[&str]) -> String {
     run(Command::new("docker").args(args))
 }
 
-/// What a container has logged so far.
+/// Returns the log of a container so far.
 pub fn logged(container: &str) -> String {
     let logs = Command::new("docker").args(["logs", container]).output();
     let logs = logs.unwrap_or_else(|e| panic!("docker does not start: {e}"));
@@ -142,7 +145,7 @@ pub fn logged(container: &str) -> String {
 
 impl Drop for Compose {
     fn drop(&mut self) {
-        // Nothing here may panic: that would abort the test run in the middle of a clean-up.
+        // This code must not panic, because a second panic would abort the test run during the clean-up.
         if std::thread::panicking() {
             let _shown = self
                 .command()
@@ -165,10 +168,10 @@ impl Drop for Compose {
     }
 }
 
-/// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it
-/// fails or hangs.
+/// Runs a command to its end, and returns its output on stdout. Panics with all its output if it fails or
+/// hangs.
 pub fn run(command: &mut Command) -> String {
-    // Files, not pipes: a pipe would need a reader while this thread watches the time.
+    // Use files instead of pipes, because a pipe would need a reader while this thread watches the time.
     let (out, err) = (
         tempfile::NamedTempFile::new().unwrap(),
         tempfile::NamedTempFile::new().unwrap(),
@@ -200,7 +203,7 @@ pub fn run(command: &mut Command) -> String {
     }
 }
 
-/// Whether a command can be started and succeeds; its output does not matter.
+/// Returns true if a command can be started and succeeds.
 fn succeeds(words: &[&str]) -> bool {
     Command::new(words[0])
         .args(&words[1..])

@@ -1,35 +1,35 @@
-//! A result as `sightline dump` prints it, held against the contract's shape while it is read.
+//! The parsed output of `sightline dump`. Parsing checks the format.
 
 use serde_json::Value;
 
 use crate::process::count;
 
-/// A dump.
+/// A parsed dump.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dump {
     /// The first line.
     pub header: Value,
-    /// The others.
+    /// The cell lines.
     pub cells: Vec<Cell>,
 }
 
-/// One leaf cell.
+/// A leaf cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cell {
-    /// Least corner.
+    /// The minimum corner.
     pub min: [f64; 3],
-    /// Greatest corner.
+    /// The maximum corner.
     pub max: [f64; 3],
-    /// What is visible from it.
+    /// The ids of the visible triangles.
     pub visible: Vec<u64>,
-    /// The part of it that was neither seen nor proved hidden.
+    /// The visible triangles that were neither seen nor proved hidden.
     pub undecided: Vec<u64>,
-    /// Whether viewpoints can be in it.
+    /// True if viewpoints can be in the cell.
     pub reached: bool,
 }
 
 impl Dump {
-    /// Reads a dump. Panics where it is not of the contract's shape.
+    /// Parses a dump. Panics if the text does not have the format of `sightline dump`.
     pub fn parse(text: &str) -> Self {
         let mut lines = text.lines().map(|l| {
             serde_json::from_str::<Value>(l).unwrap_or_else(|e| panic!("no JSON line ({e}): {l}"))
@@ -81,19 +81,19 @@ impl Dump {
         Self { header, cells }
     }
 
-    /// Least and greatest corner of the view box.
+    /// Returns the minimum and the maximum corner of the view box.
     pub fn view_box(&self) -> [[f64; 3]; 2] {
         ["min", "max"].map(|corner| point(&self.header["view_box"][corner]))
     }
 }
 
 impl Cell {
-    /// Its volume.
+    /// Returns the volume of the cell.
     pub fn volume(&self) -> f64 {
         (0..3).map(|axis| self.max[axis] - self.min[axis]).product()
     }
 
-    /// Its middle.
+    /// Returns the centre of the cell.
     pub fn middle(&self) -> [f64; 3] {
         std::array::from_fn(|axis| (self.min[axis] + self.max[axis]) / 2.0)
     }

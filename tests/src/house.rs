@@ -1,12 +1,13 @@
-//! A small house as OBJ: two rooms of 2×2×2 in a row, and what stands between and in them.
+//! A small house as OBJ: two rooms of 2×2×2 in a row, with given rectangles.
 
 use std::fmt::Write as _;
 
-/// A rectangle by its corners in order.
+/// A rectangle, as its corners in order.
 pub type Quad = [[f32; 3]; 4];
 
-/// The shell of the house from 0,0,0 to 4,2,2, in six objects of two triangles each (floor, ceiling, north,
-/// south, west, east), and then an object of two triangles for each named rectangle.
+/// Returns the shell of a house from 0,0,0 to 4,2,2, followed by the named rectangles. The shell has six
+/// objects of two triangles each (floor, ceiling, north, south, west, east). Each rectangle is an object of
+/// two triangles.
 pub fn house(inside: &[(&str, Quad)]) -> String {
     let level = |y: f32| [[0.0, y, 0.0], [4.0, y, 0.0], [4.0, y, 2.0], [0.0, y, 2.0]];
     let long = |z: f32| [[0.0, 0.0, z], [4.0, 0.0, z], [4.0, 2.0, z], [0.0, 2.0, z]];
@@ -30,7 +31,7 @@ pub fn house(inside: &[(&str, Quad)]) -> String {
     out
 }
 
-/// A rectangle across x, from the least to the greatest y and z.
+/// Returns a rectangle across the x axis, from the minimum to the maximum y and z.
 pub fn across(x: f32, y: [f32; 2], z: [f32; 2]) -> Quad {
     [
         [x, y[0], z[0]],

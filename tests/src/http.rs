@@ -3,13 +3,13 @@
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 
-/// A request with these header lines; gives the status and the body.
+/// Sends a request with these header lines. Returns the status and the body.
 pub fn ask(pages: &str, request: &str, headers: &str, body: impl AsRef<[u8]>) -> (u32, Vec<u8>) {
     let (status, _, body) = ask_with_head(pages, request, headers, body);
     (status, body)
 }
 
-/// Makes a request with these header lines; returns the status, the head of the answer, and the body.
+/// Sends a request with these header lines. Returns the status, the head of the answer, and the body.
 pub fn ask_with_head(
     pages: &str,
     request: &str,
@@ -30,7 +30,7 @@ pub fn ask_with_head(
         body.len()
     )
     .unwrap();
-    // A request that is refused by its head may not be read to its end.
+    // The server may reject the request by its head and not read the body.
     drop(stream.write_all(body));
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).unwrap();
@@ -44,7 +44,7 @@ pub fn ask_with_head(
     (status, head, if is_chunked { joined(&body) } else { body })
 }
 
-/// The bytes of a body that came in chunks.
+/// Joins the bytes of a chunked body.
 fn joined(mut body: &[u8]) -> Vec<u8> {
     let mut whole = Vec::new();
     loop {

@@ -1,12 +1,11 @@
-//! What the tests in `tests/` share: the program under test, folders to run it in, processes that are ended
-//! with the test, and results read back.
+//! The shared code of the integration tests: the program under test, its folders and processes, and parsed
+//! results.
 //!
-//! The program is only ever run from outside, as a user runs it; nothing here links against it. What is
-//! waited for is waited for by looking, never by sleeping a fixed time; the limits only turn a hang into a
-//! failure.
+//! The tests run the program only from outside, like a user; no code here links against it. A test waits by
+//! polling, never by sleeping for a fixed time. The limits only convert a hang into a failure.
 
-// The permissions for tests reach `#[test]` functions only; all of this runs inside of them, and a helper
-// that panics with what it saw is what makes their failures readable.
+// The permissions for tests cover only `#[test]` functions, but this code runs inside of them. A helper that
+// panics with its observation makes failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 mod balancer;
@@ -28,7 +27,7 @@ use std::time::{Duration, Instant};
 
 pub use balancer::Balancer;
 pub use browser::Browser;
-pub use collector::{Collector, Taken};
+pub use collector::{Collector, ReceivedSpan};
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use house::{across, house};
@@ -40,10 +39,10 @@ pub use python::{libraries, python, python_folder};
 pub use site::Site;
 pub use strace::{FILE_CALLS, Strace, SystemCall};
 
-/// A single command or wait that takes longer hangs.
+/// Maximum duration of a single command or wait. Anything longer hangs.
 pub const LIMIT: Duration = Duration::from_secs(300);
 
-/// Looks until `look` has seen what it looks for. Panics, saying `what`, when that takes past [`LIMIT`].
+/// Calls `look` until it returns a value. Panics with `what` if this takes longer than [`LIMIT`].
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let began = Instant::now();
     loop {
@@ -55,7 +54,7 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// Panics unless both results are the same, telling where they begin to differ.
+/// Panics unless both results are equal. The message contains the first different offset.
 pub fn assert_same(a: &[u8], b: &[u8], what: &str) {
     let first = a.iter().zip(b).position(|(x, y)| x != y);
     assert!(

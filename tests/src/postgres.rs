@@ -1,4 +1,5 @@
-//! A PostgreSQL server for tests, from Debian's package, on loopback and a socket, ended with the test.
+//! A PostgreSQL server for tests, from Debian's package, on loopback and a socket. The server ends with its
+//! test.
 
 use std::fs::{self, File};
 use std::net::TcpListener;
@@ -9,14 +10,14 @@ use tempfile::TempDir;
 
 use crate::{in_ci, wait_for};
 
-/// The password of the server's only user, `sightline`.
+/// The password of `sightline`, the only user of the server.
 const PASSWORD: &str = "a-password-of-tests";
 
-/// A server with one database, `sightline`. Dropping it ends it.
+/// A server with one database, `sightline`. Dropping it ends the server.
 pub struct Postgres {
     folder: TempDir,
     programs: PathBuf,
-    /// Who runs it; `None` is the user of the test.
+    /// The system user that runs the server. `None` for the user of the test.
     user: Option<String>,
     settings: String,
     port: u16,
@@ -24,8 +25,8 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// Starts a server that does not wait for its disk. `None`, with a line that says so, where there is
-    /// none; on CI that is a failure.
+    /// Starts a server that does not sync its disk. Without PostgreSQL, prints a line and returns `None`,
+    /// which is a failure on CI.
     pub fn start() -> Option<Self> {
         Self::start_with("-c fsync=off")
     }
@@ -87,13 +88,13 @@ impl Postgres {
         Some(server)
     }
 
-    /// The address of its database through the socket, where no password is asked for.
+    /// Returns the address of the database through the socket, which needs no password.
     pub fn url(&self) -> String {
         let folder = self.folder.path().to_str().unwrap().replace('/', "%2F");
         format!("postgres://sightline@{folder}:{}/sightline", self.port)
     }
 
-    /// The address of its database on loopback, where the password is asked for.
+    /// Returns the address of the database on loopback, with the password.
     pub fn url_with_password(&self) -> String {
         format!(
             "postgres://sightline:{PASSWORD}@127.0.0.1:{}/sightline",
@@ -101,17 +102,17 @@ impl Postgres {
         )
     }
 
-    /// The address of its database on loopback, without the password.
+    /// Returns the address of the database on loopback, without the password.
     pub fn url_on_loopback(&self) -> String {
         format!("postgres://sightline@127.0.0.1:{}/sightline", self.port)
     }
 
-    /// The password of [`Postgres::url_on_loopback`].
+    /// Returns the password for [`Postgres::url_on_loopback`].
     pub fn password(&self) -> &'static str {
         PASSWORD
     }
 
-    /// Carries out statements; gives what they select, a row a line.
+    /// Runs SQL statements. Returns the selected rows, one per line.
     pub fn sql(&self, database: &str, text: &str) -> String {
         let mut psql = Command::new(self.programs.join("psql"));
         psql.args([
@@ -134,20 +135,20 @@ impl Postgres {
         done(&mut psql)
     }
 
-    /// Ends it as its administrator does, without waiting for those who are connected, and starts it again.
+    /// Restarts the server like an administrator, without waiting for connected clients.
     pub fn restart(&mut self) {
         self.signal("INT");
         self.ended();
         self.begin();
     }
 
-    /// Ends it in the middle of what it does.
+    /// Stops the server immediately, in the middle of its work.
     pub fn stop(&mut self) {
         self.signal("QUIT");
         self.ended();
     }
 
-    /// Starts it again after [`Postgres::stop`].
+    /// Starts the server again after [`Postgres::stop`].
     pub fn begin(&mut self) {
         let log = self.path("log");
         let mut server = self.command("postgres");
@@ -186,14 +187,14 @@ impl Postgres {
         self.folder.path().join(name)
     }
 
-    /// A program of the server, run by who may run it.
+    /// Returns the command of a server program, run by the user of the server.
     fn command(&self, program: &str) -> Command {
         let program = self.programs.join(program);
         let mut command = match &self.user {
             None => Command::new(program),
             Some(user) => {
                 let mut command = Command::new("setpriv");
-                // It replaces itself with the program, so that the process is the program's.
+                // `setpriv` replaces itself with the program, so the process id is the id of the program.
                 command
                     .args([
                         "--reuid",
@@ -227,7 +228,7 @@ impl Postgres {
 impl Drop for Postgres {
     fn drop(&mut self) {
         if let Some(mut child) = self.child.take() {
-            // Its children end with it. It may have ended by itself.
+            // The children of the server end with it. The server may have ended by itself.
             let _ = Command::new("sh")
                 .args(["-c", &format!("kill -QUIT {}", child.id())])
                 .status();
@@ -236,7 +237,7 @@ impl Drop for Postgres {
     }
 }
 
-/// Where Debian has the programs of its newest server.
+/// Returns the folder of Debian's programs of the newest installed server.
 fn programs() -> Option<PathBuf> {
     let versions = fs::read_dir("/usr/lib/postgresql")
         .ok()?
@@ -261,7 +262,7 @@ fn exists(user: &str) -> bool {
         .is_ok_and(|s| s.success())
 }
 
-/// Runs a command, which must succeed; gives what it printed.
+/// Runs a command that must succeed. Returns its output.
 fn done(command: &mut Command) -> String {
     let output = command
         .output()

@@ -1,4 +1,4 @@
-//! Running the program: to its end, in the background, and as a coordinator.
+//! The program under test as a process: run to its end, in the background, or as a coordinator.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::{Dump, LIMIT, program, wait_for};
 
-/// A folder of its own in which commands run, removed at the end.
+/// A separate folder in which commands run. Dropping it removes the folder.
 pub struct Sandbox {
     folder: TempDir,
     variables: Vec<(OsString, OsString)>,
@@ -28,10 +28,10 @@ impl Default for Sandbox {
 }
 
 impl Sandbox {
-    /// An empty folder.
+    /// Creates an empty folder.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        // Nothing of the user's settings, and nothing into the user's cache.
+        // Keep the user's cache out of the tests, and the tests out of the user's cache.
         let cache = folder.path().join("cache").into();
         let variables = vec![("XDG_CACHE_HOME".into(), cache)];
         Self {
@@ -42,22 +42,22 @@ impl Sandbox {
         }
     }
 
-    /// Sets an environment variable for all that runs from now on.
+    /// Sets an environment variable for all later commands.
     pub fn set(&mut self, name: &str, value: impl Into<OsString>) {
         self.variables.push((name.into(), value.into()));
     }
 
-    /// Limits the files and connections that a process may have open, for all that runs from now on.
+    /// Limits the number of file descriptors of all later commands.
     pub fn limit_descriptors(&mut self, most: u32) {
         self.descriptors = Some(most);
     }
 
-    /// A file in the folder.
+    /// Returns the path of a file in the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// The bytes of a file in the folder.
+    /// Returns the bytes of a file in the folder.
     pub fn read(&self, name: &str) -> Vec<u8> {
         fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
@@ -67,13 +67,13 @@ impl Sandbox {
         fs::write(self.path(name), bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
     }
 
-    /// How many files there are below `name`; 0 when it is not there.
+    /// Returns the number of files below `name`, or 0 if `name` does not exist.
     pub fn files_below(&self, name: &str) -> usize {
         fn count(folder: &Path) -> usize {
             let Ok(entries) = fs::read_dir(folder) else {
                 return 0;
             };
-            // What vanishes while it is looked at is not counted.
+            // Files that disappear during the count do not count.
             entries
                 .flatten()
                 .map(|e| {
@@ -92,7 +92,7 @@ impl Sandbox {
         let mut command = match self.descriptors {
             None => Command::new(program),
             Some(most) => {
-                // The shell's own `ulimit`, which sets both limits.
+                // Use the `ulimit` of the shell, which sets the soft and the hard limit.
                 let mut command = Command::new("sh");
                 command
                     .args(["-c", &format!("ulimit -n {most} && exec \"$0\" \"$@\"")])
@@ -109,13 +109,13 @@ impl Sandbox {
         command
     }
 
-    /// Starts `sightline LINE` in the folder. The line is split at spaces; files are named relative to the
+    /// Starts `sightline LINE` in the folder. The line is split at spaces, and files are relative to the
     /// folder.
     pub fn start(&self, line: &str) -> Background {
         self.background(self.command(program(), line), line)
     }
 
-    /// Runs `sightline LINE` to its end under limits that a shell sets, such as `ulimit -n 20`.
+    /// Runs `sightline LINE` to its end, under limits that a shell sets, such as `ulimit -n 20`.
     pub fn run_limited(&self, limits: &str, line: &str) -> Run {
         let mut command = self.command(Path::new("sh"), "");
         command
@@ -129,7 +129,7 @@ impl Sandbox {
     fn background(&self, mut command: Command, line: &str) -> Background {
         let number = self.runs.fetch_add(1, Ordering::Relaxed);
         let [out, err] = ["out", "err"].map(|kind| self.path(&format!(".{number}.{kind}")));
-        // Files, not pipes: nobody has to keep reading.
+        // Use files instead of pipes, so that no thread has to read.
         command
             .stdout(File::create(&out).unwrap())
             .stderr(File::create(&err).unwrap());
@@ -144,28 +144,28 @@ impl Sandbox {
         }
     }
 
-    /// Runs `sightline LINE` to its end. Whatever the exit code, a panic in it is a failure.
+    /// Runs `sightline LINE` to its end. A panic in it is a failure for any exit code.
     pub fn run(&self, line: &str) -> Run {
         self.start(line).end()
     }
 
-    /// Runs `sightline LINE`, which must succeed; gives what it printed on stdout.
+    /// Runs `sightline LINE`, which must succeed. Returns its output on stdout.
     pub fn ok(&self, line: &str) -> String {
         self.run(line).code(0).out
     }
 
-    /// Runs `sightline LINE --json`, which must succeed; gives the one document on stdout.
+    /// Runs `sightline LINE --json`, which must succeed. Returns the document on stdout.
     pub fn json(&self, line: &str) -> Value {
         let out = self.ok(&format!("{line} --json"));
         serde_json::from_str(&out).unwrap_or_else(|e| panic!("sightline {line}: {e} in {out}"))
     }
 
-    /// The dump of a result.
+    /// Returns the dump of a result.
     pub fn dump(&self, result: &str) -> Dump {
         Dump::parse(&self.ok(&format!("dump {result}")))
     }
 
-    /// Starts a coordinator on a free port, or on the address given, with its data in `data`.
+    /// Starts a coordinator on a free port, or at the given address, with its data in `data`.
     pub fn coordinator(&self, data: &str, address: &str) -> Coordinator<'_> {
         self.serve(data, &format!("--listen {address}"))
     }
@@ -175,7 +175,7 @@ impl Sandbox {
         self.serve(data, "--listen 127.0.0.1:0 --http 127.0.0.1:0")
     }
 
-    /// Starts a coordinator with these arguments, `--listen` among them, with its data in `data`.
+    /// Starts a coordinator with these arguments, which include `--listen`, and with its data in `data`.
     pub fn serve(&self, data: &str, arguments: &str) -> Coordinator<'_> {
         let mut command = self.command(
             program(),
@@ -235,18 +235,18 @@ impl Sandbox {
     }
 }
 
-/// How a command ended.
+/// The outcome of a command.
 pub struct Run {
     line: String,
     status: ExitStatus,
-    /// What it printed on stdout.
+    /// The output on stdout.
     pub out: String,
-    /// What it printed on stderr.
+    /// The output on stderr.
     pub err: String,
 }
 
 impl Run {
-    /// Panics unless this is the exit code.
+    /// Panics unless the exit code is `code`.
     #[track_caller]
     pub fn code(self, code: i32) -> Self {
         assert!(
@@ -260,12 +260,12 @@ impl Run {
         self
     }
 
-    /// Whether it succeeded.
+    /// Returns true if the command succeeded.
     pub fn succeeded(&self) -> bool {
         self.status.success()
     }
 
-    /// Panics unless stderr has `text` in it.
+    /// Panics unless stderr contains `text`.
     #[track_caller]
     pub fn says(self, text: &str) -> Self {
         assert!(
@@ -278,7 +278,7 @@ impl Run {
     }
 }
 
-/// A process that runs beside the test. Dropping it kills it.
+/// A process in the background. Dropping it kills the process.
 pub struct Background {
     line: String,
     child: Child,
@@ -287,29 +287,29 @@ pub struct Background {
 }
 
 impl Background {
-    /// What it has written to stderr so far.
+    /// Returns the output on stderr so far.
     pub fn err(&self) -> String {
         String::from_utf8_lossy(&fs::read(&self.err).unwrap_or_default()).into_owned()
     }
 
-    /// What it has written to stdout so far.
+    /// Returns the output on stdout so far.
     pub fn out(&self) -> String {
         String::from_utf8_lossy(&fs::read(&self.out).unwrap_or_default()).into_owned()
     }
 
-    /// The number of the process.
+    /// Returns the id of the process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it still runs.
+    /// Returns true if the process is running.
     pub fn runs(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// Sends it a signal by its name, such as `TERM`.
+    /// Sends the process a signal by its name, such as `TERM`.
     pub fn signal(&self, name: &str) {
-        // The shell's own `kill`, which is there even where no other is.
+        // Use the `kill` of the shell, which exists on every machine.
         let sent = Command::new("sh")
             .args(["-c", &format!("kill -{name} {}", self.child.id())])
             .status();
@@ -320,13 +320,13 @@ impl Background {
         );
     }
 
-    /// Kills it, as a crash or the machine's end would.
+    /// Kills the process, like a crash or a power failure.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// Waits for its end.
+    /// Waits for the end of the process.
     pub fn end(mut self) -> Run {
         let began = Instant::now();
         let status = loop {
@@ -359,7 +359,7 @@ impl Background {
 
 impl Drop for Background {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // The process may have ended by itself.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if std::thread::panicking() {
@@ -368,42 +368,42 @@ impl Drop for Background {
     }
 }
 
-/// A coordinator that serves.
+/// A running coordinator.
 pub struct Coordinator<'a> {
     sandbox: &'a Sandbox,
-    /// Its process.
+    /// The process of the coordinator.
     pub process: Background,
-    /// Where it listens, such as `http://127.0.0.1:41234`.
+    /// The address for gRPC, such as `http://127.0.0.1:41234`.
     pub url: String,
-    /// Where its dashboard is, such as `http://127.0.0.1:41235/`; empty without one.
+    /// The address of the dashboard, such as `http://127.0.0.1:41235/`. Empty without a dashboard.
     pub pages: String,
-    /// Where its metrics are, such as `http://127.0.0.1:41236/metrics`; empty without them.
+    /// The address of the metrics, such as `http://127.0.0.1:41236/metrics`. Empty without metrics.
     pub metrics: String,
 }
 
 impl Coordinator<'_> {
-    /// Address and port alone, for `--listen`.
+    /// Returns only the address and the port, for `--listen`.
     pub fn address(&self) -> String {
         self.url.rsplit('/').next().unwrap_or_default().to_owned()
     }
 
-    /// Starts a client command against it.
+    /// Starts a client command against the coordinator.
     pub fn start(&self, line: &str) -> Background {
         self.sandbox
             .start(&format!("{line} --coordinator {}", self.url))
     }
 
-    /// Runs a client command against it.
+    /// Runs a client command against the coordinator.
     pub fn run(&self, line: &str) -> Run {
         self.start(line).end()
     }
 
-    /// Runs a client command against it, which must succeed; gives its stdout.
+    /// Runs a client command against the coordinator, which must succeed. Returns its output on stdout.
     pub fn ok(&self, line: &str) -> String {
         self.run(line).code(0).out
     }
 
-    /// Runs a client command against it with `--json`; gives the document.
+    /// Runs a client command with `--json` against the coordinator. Returns the document.
     pub fn json(&self, line: &str) -> Value {
         self.sandbox
             .json(&format!("{line} --coordinator {}", self.url))
@@ -414,24 +414,24 @@ impl Coordinator<'_> {
         self.start("worker --backend cpu --threads 1")
     }
 
-    /// Submits a job; gives its number.
+    /// Submits a job. Returns its number.
     pub fn submit(&self, line: &str) -> u64 {
         self.ok(&format!("submit {line}")).trim().parse().unwrap()
     }
 
-    /// A count of a job as `show --json` has it.
+    /// Returns a count of a job from `show --json`.
     pub fn count(&self, job: u64, key: &str) -> u64 {
         count(&self.json(&format!("show {job}")), key)
     }
 
-    /// Waits until `seen` is satisfied by what `show --json` says of a job.
+    /// Waits until `seen` accepts the document of `show --json` for a job. Returns the document.
     pub fn until(&self, job: u64, what: &str, seen: impl Fn(&Value) -> bool) -> Value {
         wait_for(what, || {
             Some(self.json(&format!("show {job}"))).filter(&seen)
         })
     }
 
-    /// Follows a job to its end, which must be a success, and downloads it.
+    /// Follows a job to its end, which must be a success. Returns the bytes of its result.
     pub fn finish(&self, job: u64) -> Vec<u8> {
         self.ok(&format!("watch {job}"));
         let name = format!("fetched-{job}.pvs");
@@ -440,7 +440,7 @@ impl Coordinator<'_> {
     }
 }
 
-/// A number in a JSON object.
+/// Returns a number in a JSON object.
 pub(crate) fn count(value: &Value, key: &str) -> u64 {
     value[key]
         .as_u64()

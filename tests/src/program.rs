@@ -1,11 +1,12 @@
-//! Where the program under test comes from.
+//! The path of the program under test.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// The program: what `SIGHTLINE_BIN` names, else what `cargo build` makes of this checkout, in the profile
-/// and target folder of the running test. A program that is built already is found at once.
+/// Returns the path of the program under test. The path is the value of `SIGHTLINE_BIN`, or otherwise the
+/// program that `cargo build` creates from this checkout, in the profile and target folder of the running
+/// test. An up-to-date program is not built again.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| match std::env::var_os("SIGHTLINE_BIN") {
@@ -16,14 +17,14 @@ pub fn program() -> &'static Path {
                 "SIGHTLINE_BIN names no file: {}",
                 named.display()
             );
-            // Tests run it from other folders.
+            // Tests run the program from other folders.
             std::path::absolute(named).unwrap()
         }
         None => build(),
     })
 }
 
-/// An example of a crate of this checkout, built like the program.
+/// Returns the path of an example of this checkout, built like the program.
 pub fn example(name: &str) -> PathBuf {
     built(&["--example", name], name)
 }
@@ -32,9 +33,9 @@ fn build() -> PathBuf {
     built(&["--bins"], "sightline")
 }
 
-/// Builds targets and names the executable of one of them.
+/// Builds targets. Returns the path of the executable with this name.
 fn built(targets: &[&str], name: &str) -> PathBuf {
-    // TARGET/PROFILE/deps/TEST-HASH
+    // The path of the test has the form TARGET/PROFILE/deps/TEST-HASH.
     let test = std::env::current_exe().unwrap();
     let folder = test.ancestors().nth(2).unwrap();
     let profile = match folder.file_name().unwrap().to_str().unwrap() {
@@ -43,7 +44,7 @@ fn built(targets: &[&str], name: &str) -> PathBuf {
     };
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo
-        // The whole workspace: for one package cargo would choose other features and build the
+        // Build the whole workspace: for one package, cargo would select other features and build the
         // dependencies again.
         .args([
             "build",
@@ -72,7 +73,8 @@ fn built(targets: &[&str], name: &str) -> PathBuf {
         .unwrap_or_else(|| panic!("{cargo:?} named no executable"))
 }
 
-/// Whether what this machine lacks is a failure instead of a reason to skip: on CI it is.
+/// Returns true on CI, where a missing requirement of a test is a failure instead of a reason to skip the
+/// test.
 pub fn in_ci() -> bool {
     std::env::var_os("CI").is_some_and(|value| !value.is_empty() && value != "false")
 }

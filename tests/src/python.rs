@@ -1,6 +1,7 @@
-//! An environment of Python with the package in it, as the library that is built with the program and the
-//! files of this checkout. How `pip` builds it is checked by `scripts/python.sh`, which compiles everything
-//! once more.
+//! A Python environment with the package, from the library that is built with the program and the files of
+//! this checkout.
+//!
+//! `scripts/python.sh` checks the build with `pip`, which compiles all code once more.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -9,19 +10,19 @@ use std::sync::OnceLock;
 
 use crate::{in_ci, program};
 
-/// The interpreter of the environment; `None` where there is no Python, which in CI is a failure. It is made
-/// once a target folder, with what the tests need from the package index.
+/// Returns the interpreter of the environment, or `None` without Python, which is a failure on CI. The
+/// environment is created once per target folder, with the packages that the tests need.
 pub fn python() -> Option<&'static Path> {
     static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
     PYTHON.get_or_init(make).as_deref()
 }
 
-/// The folder with the libraries that are built with the program.
+/// Returns the folder of the libraries that are built with the program.
 pub fn libraries() -> PathBuf {
     program().parent().unwrap().to_owned()
 }
 
-/// The folder of the Python package.
+/// Returns the folder of the Python package.
 pub fn python_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
@@ -36,7 +37,8 @@ fn make() -> Option<PathBuf> {
         return None;
     }
     let (source, environment) = (python_folder(), libraries().join("python"));
-    // Several test programs may run at a time. The file is outside of the folder, which is emptied.
+    // Several test programs may run at the same time. The lock file is outside the folder, because the folder
+    // is emptied.
     let lock = File::create(libraries().join("python.lock")).unwrap();
     lock.lock().unwrap();
     let python = environment.join("bin/python");
@@ -94,7 +96,7 @@ fn install(python: &Path, source: &Path) {
     put(&native, &package.join("_sightline.abi3.so"));
 }
 
-/// Copies a file unless it is there, at once for whoever reads the older one.
+/// Copies a file unless an equal file exists. The replacement is atomic for readers of the older file.
 fn put(from: &Path, to: &Path) {
     let bytes = fs::read(from).unwrap();
     if !fs::read(to).is_ok_and(|there| there == bytes) {

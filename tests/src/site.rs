@@ -1,18 +1,18 @@
-//! Files on this machine as a web site: browsers load modules over HTTP alone.
+//! A web site from files on this machine, because browsers load modules only over HTTP.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A site that is there until the test ends.
+/// A running web site, which exists until the test ends.
 pub struct Site {
     port: u16,
 }
 
 impl Site {
-    /// Serves files: each entry is the beginning of addresses and the folder they are in, or one address and
-    /// its file. Of several that fit, the first counts.
+    /// Serves files. Each entry is an address prefix with its folder, or one address with its file. The first
+    /// matching entry counts.
     pub fn start(entries: &[(&str, PathBuf)]) -> Self {
         let entries: Arc<[(String, PathBuf)]> = entries
             .iter()
@@ -29,13 +29,13 @@ impl Site {
         Self { port }
     }
 
-    /// The whole address of a path.
+    /// Returns the complete address of a path.
     pub fn address(&self, path: &str) -> String {
         format!("http://127.0.0.1:{}{path}", self.port)
     }
 }
 
-/// Answers one request. A browser that goes away is no fault.
+/// Answers one request. A browser that disconnects is not a failure.
 fn answer(mut stream: TcpStream, entries: &[(String, PathBuf)]) -> Option<()> {
     let mut lines = BufReader::new(stream.try_clone().ok()?)
         .lines()

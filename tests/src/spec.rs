@@ -2,7 +2,7 @@
 
 use sightline_proto::v1;
 
-/// Returns the task of visibility.
+/// Returns the visibility task of a job.
 ///
 /// # Panics
 /// Panics if the job has another task.
@@ -13,10 +13,10 @@ pub fn task(spec: &mut v1::JobSpec) -> &mut v1::Visibility {
     }
 }
 
-/// Returns the sampling.
+/// Returns the sampling of a job.
 ///
 /// # Panics
-/// Panics if the job samples nothing.
+/// Panics if the job does not sample.
 pub fn sampling(spec: &mut v1::JobSpec) -> &mut v1::Sampling {
     let sampling = match &mut task(spec).method {
         Some(v1::visibility::Method::Aggressive(method)) => &mut method.sampling,
@@ -26,7 +26,7 @@ pub fn sampling(spec: &mut v1::JobSpec) -> &mut v1::Sampling {
     sampling.as_mut().unwrap()
 }
 
-/// Returns the cubes.
+/// Returns the cubes of a job.
 ///
 /// # Panics
 /// Panics if the job has another sampler.
@@ -37,7 +37,7 @@ pub fn cubes(spec: &mut v1::JobSpec) -> &mut v1::Cubes {
     }
 }
 
-/// Returns the grid of cells of cubes.
+/// Returns the cubes' grid of cells.
 ///
 /// # Panics
 /// Panics if the job has other cells.

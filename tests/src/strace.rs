@@ -10,8 +10,8 @@ use crate::{in_ci, wait_for};
 pub const FILE_CALLS: &str = "openat,open,creat,fsync,fdatasync,sync_file_range,rename,renameat,\
                               renameat2,link,linkat,unlink,unlinkat,mkdir,mkdirat";
 
-/// A recording of system calls. `strace` runs as a grandchild, so that a traced process is the direct
-/// child of the test: its id, its signals and its exit code are its own.
+/// A recording of system calls. `strace` runs as a grandchild, so that the traced process is the direct child
+/// of the test, with its own id, signals and exit code.
 pub struct Strace {
     log: PathBuf,
 }
@@ -19,7 +19,8 @@ pub struct Strace {
 /// A system call that has returned.
 #[derive(Clone, Debug)]
 pub struct SystemCall {
-    /// The number of the log line at which the call began. Lines of all threads are in the order of time.
+    /// The number of the log line at which the call started. The lines of all threads are in the order of
+    /// time.
     pub begun: usize,
     /// The number of the log line at which the call returned.
     pub returned: usize,
@@ -31,7 +32,7 @@ pub struct SystemCall {
 }
 
 impl SystemCall {
-    /// Returns true if the call did not fail.
+    /// Returns true if the call succeeded.
     pub fn succeeded(&self) -> bool {
         !self
             .text
@@ -43,8 +44,8 @@ impl SystemCall {
 }
 
 impl Strace {
-    /// Prepares a recording in the file `log`. Returns `None`, and prints the reason in one line, where
-    /// `strace` cannot run. On CI that is a failure.
+    /// Prepares a recording in the file `log`. If `strace` cannot run, prints the reason in one line and
+    /// returns `None`, which is a failure on CI.
     pub fn new(log: &Path) -> Option<Self> {
         let strace = Self {
             log: log.to_owned(),
@@ -74,7 +75,7 @@ impl Strace {
     /// Returns a command that runs `program` and records `calls`, a list that `strace -e trace=` accepts.
     pub fn command(&self, program: &Path, calls: &str) -> Command {
         let mut command = Command::new("strace");
-        // -D: the tracer is not a child of the test; -y: descriptors with paths; whole strings.
+        // -D: the tracer is not a child of the test; -y: descriptors with paths; -s: complete strings.
         command
             .args(["-D", "-f", "-q", "-y", "-s", "4096", "-o"])
             .arg(&self.log);
@@ -86,9 +87,9 @@ impl Strace {
         command
     }
 
-    /// Returns the calls of the process, which has ended, in the order in which they returned.
+    /// Waits for the end of the process. Returns its calls in the order in which they returned.
     pub fn calls(&self) -> Vec<SystemCall> {
-        // The tracer writes the last lines after the process has gone.
+        // The tracer writes the last lines after the process has ended.
         let log = wait_for("the end of the recording", || {
             let log = fs::read_to_string(&self.log).ok()?;
             let first = log.split_whitespace().next()?.to_owned();
@@ -114,7 +115,7 @@ fn parse(log: &str) -> Vec<SystemCall> {
             pending.push((thread, number, begin));
             continue;
         } else if let Some(resumed) = rest.strip_prefix("<... ") {
-            let at = pending.iter().position(|(of, ..)| *of == thread);
+            let at = pending.iter().position(|(owner, ..)| *owner == thread);
             let Some((_, begun, begin)) = at.map(|at| pending.remove(at)) else {
                 continue;
             };
@@ -123,7 +124,7 @@ fn parse(log: &str) -> Vec<SystemCall> {
         } else {
             (number, rest.to_owned())
         };
-        // Not the lines about signals and ends.
+        // Skip the lines about signals and ends.
         let Some((name, text)) = text.split_once('(') else {
             continue;
         };

@@ -1,4 +1,5 @@
-//! Encryption, tokens and owners, with real processes: who may do what, and what others learn of it.
+//! Tests of encryption, tokens and owners with real processes: the permissions of each user, and the
+//! visibility of other users' data.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -8,14 +9,14 @@ use std::net::TcpStream;
 use rcgen::{
     CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair,
 };
-use sightline_proto::connecting::{Bearer, Credentials};
+use sightline_proto::connection::{Bearer, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_tests::{
     Background, Coordinator, Sandbox, ask, ask_with_head, assert_same, wait_for,
 };
 
-/// Writes an authority as `NAME.pem` and gives it.
+/// Creates an authority, and writes its certificate as `NAME.pem`.
 fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair> {
     let mut params = CertificateParams::new(Vec::new()).unwrap();
     params.is_ca = IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
@@ -24,7 +25,7 @@ fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair>
     issuer
 }
 
-/// Writes a certificate that an authority has signed, as `NAME.pem` and `NAME.key`.
+/// Writes a certificate that an authority signed, as `NAME.pem` and `NAME.key`.
 fn certificate(sandbox: &Sandbox, name: &str, by: &CertifiedIssuer<'static, KeyPair>) {
     let mut params =
         CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
@@ -35,7 +36,7 @@ fn certificate(sandbox: &Sandbox, name: &str, by: &CertifiedIssuer<'static, KeyP
     sandbox.write(&format!("{name}.key"), key.serialize_pem());
 }
 
-/// A folder with an authority, a coordinator's and a worker's certificate, tokens and a scene.
+/// Returns a folder with an authority, the certificates of a coordinator and a worker, tokens, and a scene.
 fn prepared() -> Sandbox {
     let sandbox = Sandbox::new();
     let farm = authority(&sandbox, "farm");
@@ -71,7 +72,7 @@ fn certified_worker(coordinator: &Coordinator<'_>) -> Background {
         .start("worker --backend cpu --threads 1 --ca farm.pem --cert worker.pem --key worker.key")
 }
 
-/// What follows a mark in a stream of events that does not end, up to the end of its line.
+/// Returns the text after `mark` in an endless stream of events, up to the end of its line.
 fn first_of_stream(pages: &str, path: &str, headers: &str, mark: &str) -> String {
     let mut stream = TcpStream::connect(pages).unwrap();
     stream
@@ -100,7 +101,7 @@ fn first_of_stream(pages: &str, path: &str, headers: &str, mark: &str) -> String
 const JOB: &str = "town.glb --cells 2x2x1 --target-error 0.1 --backend cpu";
 
 #[test]
-fn users_see_their_own_and_the_bytes_are_those_of_bake() {
+fn users_see_their_jobs_with_bytes_of_bake() {
     let sandbox = prepared();
     let coordinator = guarded(&sandbox);
     let worker = certified_worker(&coordinator);
@@ -120,14 +121,14 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
         "encrypted and alone",
     );
 
-    // Others learn nothing, not even that the job is there.
+    // Other users receive no information, not even that the job exists.
     for command in [
         "show", "watch", "cancel", "pause", "resume", "retry", "delete", "logs",
     ] {
         let denied = coordinator
             .run(&format!("{command} {job} {bob}"))
             .code(4)
-            .says(&format!("job {job} is not known"));
+            .says(&format!("job {job} does not exist"));
         assert_eq!(
             denied.err,
             coordinator
@@ -139,14 +140,14 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
     coordinator
         .run(&format!("fetch {job} -o stolen.pvs {bob}"))
         .code(4)
-        .says("is not known");
+        .says("does not exist");
     coordinator
         .run(&format!("priority {job} 5 {bob}"))
         .code(4)
-        .says("is not known");
+        .says("does not exist");
     assert!(!sandbox.path("stolen.pvs").exists());
     assert_eq!(coordinator.ok(&format!("jobs {bob}")), "");
-    // The same job of another user is a job of its own, with the same bytes.
+    // The same job of another user is a separate job with the same bytes.
     let own: u64 = coordinator
         .ok(&format!("submit {JOB} {bob}"))
         .trim()
@@ -160,7 +161,7 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
         &sandbox.read("ada.pvs"),
         "of two users",
     );
-    // Each sees one, the admin both; a reader may not submit, and only an admin sees the farm.
+    // Each user sees one job, and the admin both. A reader may not submit, and only an admin sees the farm.
     for (who, count) in [(&ada, 1), (&bob, 1), (&eve, 0), (&root, 2)] {
         assert_eq!(
             coordinator.ok(&format!("jobs {who}")).lines().count(),
@@ -181,7 +182,7 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
         .says("scope admin");
     coordinator.ok(&format!("workers {root}"));
     coordinator.ok(&format!("logs {root}"));
-    // The user that a job names is the token's, whatever the client says.
+    // The user of a job is the user of the token, regardless of the client's `--user`.
     let other = coordinator
         .ok(&format!("submit {JOB} --seed 3 --user bob {ada}"))
         .trim()
@@ -191,7 +192,7 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
             .ok(&format!("show {other} --json {ada}"))
             .contains("\"user\":\"ada\"")
     );
-    // Others' jobs are no older jobs of one's own: ada has two, with one of bob between them.
+    // Jobs of other users do not count as older jobs: ada has two jobs, with one of bob between them.
     let page = coordinator.run(&format!("jobs --limit 1 {ada}")).code(0);
     assert!(
         page.err.contains("older jobs") && page.out.lines().count() == 1,
@@ -204,7 +205,7 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
         "{}",
         page.err
     );
-    // No secret is in any log.
+    // No log contains a secret.
     for name in ["ada", "bob", "eve", "root"] {
         let text = String::from_utf8(sandbox.read(&format!("{name}.token"))).unwrap();
         let secret = text.trim().rsplit('_').next().unwrap();
@@ -213,7 +214,7 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
 }
 
 #[test]
-fn a_user_has_and_does_as_much_as_the_quota_says() {
+fn quota_limits_data_and_calls_of_user() {
     let sandbox = prepared();
     let quotas = "--quota jobs=1 --quota bob:jobs=none,requests=1 --quota root:requests=none";
     let arguments = format!("--listen 127.0.0.1:0 --tokens tokens.json {quotas}");
@@ -224,7 +225,7 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
         .trim()
         .parse()
         .unwrap();
-    // The same job again is no other one.
+    // The same job, submitted again, does not count again.
     assert_eq!(
         coordinator.ok(&format!("submit {JOB} {ada}")).trim(),
         job.to_string()
@@ -233,15 +234,15 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
     coordinator
         .run(&other)
         .code(4)
-        .says("ada may have 1 jobs, and would have 2");
+        .says("ada may have at most 1 jobs, but would have 2");
     coordinator.ok(&format!("cancel {job} {ada}"));
     coordinator.ok(&format!("delete {job} {ada}"));
     coordinator.ok(&other);
-    // Five calls are saved up; ada is not held up by bob.
+    // Up to five calls are saved up, and the calls of bob do not delay ada.
     let mut refused = false;
     for _ in 0..20 {
         let run = coordinator.run(&format!("jobs {bob}"));
-        refused |= run.err.contains("bob may make 1 calls a second");
+        refused |= run.err.contains("bob may make at most 1 calls per second");
     }
     assert!(refused);
     coordinator.ok(&format!("jobs {ada}"));
@@ -249,12 +250,12 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
         let run = sandbox.run(&format!(
             "coordinator --tokens tokens.json --quota {bad} --listen 127.0.0.1:0"
         ));
-        run.code(2).says("is no quota");
+        run.code(2).says("is not a quota");
     }
 }
 
 #[test]
-fn calls_as_json_count_as_calls_do() {
+fn json_calls_count_for_rate_limit() {
     let sandbox = prepared();
     let quotas = "--quota ada:requests=1 --quota bob:calls=2,requests=none";
     let arguments =
@@ -276,14 +277,16 @@ fn calls_as_json_count_as_calls_do() {
         let (code, body) = ask(&pages, "POST /sightline.v1.Jobs/List", &with(user), "{}");
         (code, String::from_utf8(body).unwrap())
     };
-    // Five calls are saved up, and calls of both kinds take from them.
+    // Up to five calls are saved up, and calls of both kinds use the saved ones.
     let refused = (0..20)
         .map(|_| list("ada"))
         .find(|(code, _)| *code != 200)
         .unwrap();
     assert_eq!(refused.0, 429);
     assert!(
-        refused.1.contains("ada may make 1 calls a second"),
+        refused
+            .1
+            .contains("ada may make at most 1 calls per second"),
         "{}",
         refused.1
     );
@@ -291,10 +294,10 @@ fn calls_as_json_count_as_calls_do() {
         coordinator
             .run("jobs --token-file ada.token")
             .err
-            .contains("1 calls a second")
+            .contains("1 calls per second")
     };
     assert!((0..20).any(is_refused));
-    // A call counts from its first byte to the last one of its answer: these two wait for their requests.
+    // A call counts from its first byte to the last byte of its answer. These two wait for their requests.
     let open = || {
         let mut stream = TcpStream::connect(&pages).unwrap();
         let head = format!("host: {pages}\r\n{}content-length: 2\r\n", with("bob"));
@@ -308,20 +311,20 @@ fn calls_as_json_count_as_calls_do() {
     let mut streams = vec![open(), open()];
     let refused = wait_for("a call too many", || {
         let (code, text) = list("bob");
-        // A list that came before one of them had that one refused.
+        // If a list call arrived before one of the streams, the stream was rejected.
         if code == 200 {
             streams.push(open());
         }
         (code != 200).then_some((code, text))
     });
     assert!(
-        refused.0 == 429 && refused.1.contains("bob may have 2 calls"),
+        refused.0 == 429 && refused.1.contains("bob may have at most 2 open calls"),
         "{refused:?}"
     );
     coordinator
         .run("jobs --token-file bob.token")
         .code(4)
-        .says("bob may have 2 calls");
+        .says("bob may have at most 2 open calls");
     drop(streams);
     wait_for("the end of the calls", || {
         (list("bob").0 == 200).then_some(())
@@ -329,7 +332,7 @@ fn calls_as_json_count_as_calls_do() {
 }
 
 #[test]
-fn who_is_not_known_gets_nowhere() {
+fn unknown_callers_are_rejected() {
     let mut sandbox = prepared();
     let stranger = authority(&sandbox, "stranger");
     certificate(&sandbox, "forged", &stranger);
@@ -343,24 +346,24 @@ fn who_is_not_known_gets_nowhere() {
         coordinator
             .run("jobs --ca farm.pem --token-file made-up.token")
             .code(4)
-            .says("not known here, or was revoked");
+            .says("unknown or revoked");
         coordinator
             .run("jobs")
             .code(4)
-            .says("--ca names the authority");
+            .says("give --ca the authority");
         coordinator
             .run("jobs --ca stranger.pem")
             .code(4)
-            .says("--ca names the authority");
+            .says("give --ca the authority");
         coordinator
             .run("jobs --ca missing.pem")
             .code(3)
             .says("missing.pem");
         coordinator.ok("health --ca farm.pem");
-        // Plain text at an encrypted address.
+        // A client without encryption cannot use an encrypted address.
         let plain = coordinator.url.replace("https", "http");
         sandbox.run(&format!("jobs --coordinator {plain}")).code(4);
-        // A worker ends at once when it may not work; it would try for ever else.
+        // A worker ends immediately if it may not work. Otherwise it would try forever.
         let worker = "worker --backend cpu --threads 1 --ca farm.pem";
         coordinator
             .run(worker)
@@ -372,13 +375,14 @@ fn who_is_not_known_gets_nowhere() {
             .says("needs the scope worker");
         let forged = format!("{worker} --cert forged.pem --key forged.key --give-up-after 1");
         coordinator.run(&forged).code(4);
-        // A worker's certificate opens no jobs.
+        // A worker's certificate does not permit reading jobs.
         coordinator
             .run("jobs --ca farm.pem --cert worker.pem --key worker.key")
             .code(4)
             .says("needs the scope read");
     }
-    // A token does not leave the machine in the clear, and is no argument.
+    // A client does not send a token over an unencrypted connection to another machine. A token is not a
+    // command line argument.
     sandbox
         .run("jobs --coordinator http://10.0.0.1:7600 --token-file ada.token")
         .code(2)
@@ -388,7 +392,7 @@ fn who_is_not_known_gets_nowhere() {
         .run("jobs --token-file empty.token")
         .code(2)
         .says("one line");
-    // The environment serves as well.
+    // The environment variable works as well.
     let text = String::from_utf8(sandbox.read("ada.token")).unwrap();
     sandbox.set("SIGHTLINE_TOKEN", text.trim());
     sandbox.set("SIGHTLINE_CA", "farm.pem");
@@ -397,7 +401,7 @@ fn who_is_not_known_gets_nowhere() {
 }
 
 #[test]
-fn a_digest_alone_opens_no_scene() {
+fn digest_does_not_open_scene() {
     let sandbox = prepared();
     let coordinator = guarded(&sandbox);
     let ada = "--ca farm.pem --token-file ada.token";
@@ -417,7 +421,7 @@ fn a_digest_alone_opens_no_scene() {
         let credentials = Credentials {
             ca: Some(sandbox.read("farm.pem")),
             identity: None,
-            token: Some(Bearer::of(&token).unwrap()),
+            token: Some(Bearer::parse(&token).unwrap()),
         };
         let endpoint = credentials.endpoint(&coordinator.url).unwrap();
         JobsClient::new(credentials.over(runtime.block_on(endpoint.connect()).unwrap()))
@@ -435,7 +439,7 @@ fn a_digest_alone_opens_no_scene() {
     assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
     let refused = runtime.block_on(bob.estimate(request.clone())).unwrap_err();
     assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
-    // An estimate tells nothing of what others have, whatever box it names.
+    // An estimate does not reveal other users' data, regardless of its view box.
     let mut boxed = request.clone();
     if let Some(spec) = &mut boxed.spec {
         let grid = v1::GridCells {
@@ -455,7 +459,8 @@ fn a_digest_alone_opens_no_scene() {
     let estimate = runtime.block_on(bob.estimate(boxed)).unwrap().into_inner();
     assert!(estimate.existing.is_none() && estimate.cost.is_none());
     runtime.block_on(ada.submit(request)).unwrap();
-    // The scene is one chunk, whose digest is the scene's: for who has not sent it, it is missing.
+    // The scene is one chunk, whose digest is the scene's digest. It is missing for a user who has not
+    // uploaded it.
     let missing = v1::MissingChunksRequest {
         digests: vec![scene.clone()],
     };
@@ -478,12 +483,12 @@ fn a_digest_alone_opens_no_scene() {
 }
 
 #[test]
-fn certificates_and_tokens_change_while_it_serves() {
+fn certificates_and_tokens_change_at_run_time() {
     let sandbox = prepared();
     let coordinator = guarded(&sandbox);
     let ada = "--ca farm.pem --token-file ada.token";
     coordinator.ok(&format!("jobs {ada}"));
-    // A revoked token is refused, a new one accepted.
+    // A revoked token is rejected, a new one accepted.
     let listed = sandbox.ok("token list --tokens tokens.json");
     let id = listed
         .lines()
@@ -501,7 +506,7 @@ fn certificates_and_tokens_change_while_it_serves() {
         coordinator
             .run(&format!("jobs {ada}"))
             .err
-            .contains("was revoked")
+            .contains("unknown or revoked")
             .then_some(())
     });
     token(&sandbox, "new", "read");
@@ -512,7 +517,7 @@ fn certificates_and_tokens_change_while_it_serves() {
             .is_empty()
             .then_some(())
     });
-    // Spoilt certificates change nothing; good ones are used from then on.
+    // Invalid certificates do not replace the previous ones; valid ones are used from then on.
     let good = sandbox.read("server.pem");
     sandbox.write("server.pem", "spoilt");
     coordinator.process.signal("HUP");
@@ -539,7 +544,7 @@ fn certificates_and_tokens_change_while_it_serves() {
         .run("jobs --ca farm.pem --token-file new.token")
         .code(4)
         .says("is not trusted");
-    // What cannot be used ends the start.
+    // A file that cannot be used prevents the start.
     for (files, says) in [
         ("--tls-cert town.glb --tls-key server.key", "town.glb"),
         (
@@ -564,7 +569,7 @@ fn certificates_and_tokens_change_while_it_serves() {
 }
 
 #[test]
-fn calls_as_json_need_tokens_too() {
+fn json_calls_need_tokens() {
     let sandbox = prepared();
     let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json";
     let coordinator = sandbox.serve("data", arguments);
@@ -604,11 +609,11 @@ fn calls_as_json_need_tokens_too() {
         .0,
         200
     );
-    // Pages show the jobs of all users: they ask for an admin's token.
+    // Pages show the jobs of all users, so they need the token of an admin.
     assert_eq!(ask(&pages, "GET /", "", "").0, 401);
     assert_eq!(ask(&pages, "GET /live", "", "").0, 401);
     assert_eq!(ask(&pages, "GET /", &with("ada"), "").0, 403);
-    // The stream of a job shows it, to whom it may.
+    // The stream of a job shows the job to callers with the permission.
     let job = coordinator
         .ok(&format!("submit {JOB} --token-file ada.token"))
         .trim()
@@ -649,9 +654,10 @@ fn browser_session_ends_at_logout_and_with_its_token() {
     let sent = |token: &str| ask_with_head(&pages, "POST /login", form, format!("token={token}"));
     assert_eq!(sent(&token_of("ada")).0, 403);
     assert_eq!(sent("slt_1_2").0, 401);
-    // A form longer than a token is not read.
+    // A form that is longer than a token is rejected unread.
     assert_eq!(sent(&"x".repeat(5000)).0, 413);
-    // A login sets a cookie without the token, which stays with this port and this site.
+    // A login sets a cookie that does not contain the token. The browser sends it only to this port and this
+    // site.
     let login = || {
         let (code, head, _) = sent(&token_of("root"));
         assert_eq!(code, 303);
@@ -696,14 +702,14 @@ fn browser_session_ends_at_logout_and_with_its_token() {
         .0,
         200
     );
-    // Neither the token in a cookie nor another id opens a page.
+    // Neither a token in a cookie nor another id opens a page.
     let raw = format!("cookie: sightline-session-{port}={}\r\n", token_of("root"));
     assert_eq!(ask(&pages, "GET /", &raw, "").0, 401);
     assert_eq!(
         ask(&pages, "GET /", &first.replace("session-", "session-1"), "").0,
         401
     );
-    // A logout ends one session, the end of the token ends the others.
+    // A logout ends one session. The revocation of the token ends the others.
     let (code, head, _) = ask_with_head(&pages, "POST /logout", &first, "");
     assert!(code == 303 && head.contains("Max-Age=0"), "{head}");
     assert_eq!(ask(&pages, "GET /", &first, "").0, 401);

@@ -1,4 +1,5 @@
-//! Alpha textures from the file to results and measures: a fence with half its texels open.
+//! Tests of alpha textures from the file to results and measurements, with a fence of which half the texels
+//! are open.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -7,19 +8,19 @@ use std::collections::BTreeSet;
 use serde_json::{Value, json};
 use sightline_tests::{Sandbox, assert_same};
 
-/// Viewpoints are before the closed half of the fence.
+/// The job. Its viewpoints are in front of the closed half of the fence.
 const JOB: &str = "room.gltf --cells 2x1x2 --view-box 0.5,2.4,0.5,3.5,3.6,3.5";
 
-/// The ids of the triangles, as [`room`] adds them. Behind the fence are the far wall and two plates: one
-/// behind the open half of the fence, where y is below 2, the other one close behind the closed half, so
-/// that no line from the viewpoints through the open half gets there.
+/// The ids of the triangles, in the order of [`room`]. Behind the fence are the far wall and two plates. One
+/// plate is behind the open half of the fence, where y is below 2. The other one is close behind the closed
+/// half, so that no line from the viewpoints through the open half reaches it.
 const ROOM: u64 = 10;
 const FENCE: std::ops::Range<u64> = 10..12;
 const FAR: std::ops::Range<u64> = 12..14;
 const LOW: std::ops::Range<u64> = 14..16;
 const HIGH: std::ops::Range<u64> = 16..18;
 
-/// A closed room that a fence divides, as a glTF file with a buffer and a texture beside it.
+/// Writes a closed room that a fence divides, as a glTF file with a separate buffer and texture.
 fn room(sandbox: &Sandbox, alpha: &[u8]) {
     let across = |x: f32, [y0, y1]: [f32; 2], [z0, z1]: [f32; 2]| {
         [[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]]
@@ -114,7 +115,7 @@ fn room(sandbox: &Sandbox, alpha: &[u8]) {
     sandbox.write("fence.png", image);
 }
 
-/// The set of each cell of a bake.
+/// Bakes the job. Returns the set of each cell.
 fn bake(sandbox: &Sandbox, name: &str, flags: &str) -> Vec<BTreeSet<u64>> {
     sandbox
         .run(&format!(
@@ -133,7 +134,7 @@ fn set(parts: &[std::ops::Range<u64>]) -> BTreeSet<u64> {
 }
 
 #[test]
-fn through_a_fence_is_seen_what_its_open_half_shows() {
+fn fence_shows_triangles_behind_open_half() {
     let sandbox = Sandbox::new();
     room(&sandbox, &[0, 0, 255, 255]);
     let truth = set(&[FENCE, FAR, LOW]);
@@ -166,7 +167,7 @@ fn through_a_fence_is_seen_what_its_open_half_shows() {
             let set: BTreeSet<u64> = cell.visible.iter().copied().collect();
             assert_eq!(set, truth, "{name}, cell {at}");
         }
-        // The measure reads the scene as the bake did, and agrees.
+        // The measurement reads the scene like the bake, and agrees.
         let report = sandbox.json(&format!(
             "measure room.gltf {name}.pvs --viewpoints 8 --resolution 64"
         ));
@@ -177,7 +178,7 @@ fn through_a_fence_is_seen_what_its_open_half_shows() {
             .ok("info lines.pvs")
             .contains("masked: 2 triangles (2 alphaMode MASK)")
     );
-    // Without the flag the fence is see-through as a whole, and its texture is not read.
+    // Without the flag the whole fence is see-through, and its texture is not read.
     std::fs::remove_file(sandbox.path("fence.png")).unwrap();
     let whole = bake(&sandbox, "whole", "--backend cpu");
     assert!(
@@ -192,11 +193,11 @@ fn through_a_fence_is_seen_what_its_open_half_shows() {
         ))
         .code(3)
         .says("material 1 (wire), texture 0, image 0 (fence.png)")
-        .says("leave out --alpha-textures");
+        .says("omit --alpha-textures");
 }
 
 #[test]
-fn a_closed_fence_is_a_wall_and_an_open_one_is_not_seen() {
+fn closed_fence_blocks_and_open_fence_is_invisible() {
     let sandbox = Sandbox::new();
     room(&sandbox, &[255; 4]);
     let closed = bake(&sandbox, "closed", "--backend cpu --alpha-textures");
@@ -209,7 +210,7 @@ fn a_closed_fence_is_a_wall_and_an_open_one_is_not_seen() {
             .ok("info closed.pvs")
             .contains("2 alphaMode MASK, opaque everywhere")
     );
-    // Nothing is left to be read from a texture, so exact methods are as good as for any wall.
+    // No texture has to be read, so exact methods accept the fence like any wall.
     let exact = bake(
         &sandbox,
         "exact",
@@ -231,12 +232,12 @@ fn a_closed_fence_is_a_wall_and_an_open_one_is_not_seen() {
     );
     let report = sandbox.json("measure room.gltf open.pvs --viewpoints 8 --resolution 64");
     assert_eq!(report["mean_error"], 0.0, "{report}");
-    // A result is about one texture.
+    // A result belongs to one texture.
     sandbox
         .run("measure room.gltf closed.pvs --viewpoints 1")
         .code(3)
         .says("another scene");
-    // A flag about a name goes before the texture.
+    // A flag about a name overrides the texture.
     let ruled = bake(
         &sandbox,
         "ruled",
@@ -246,7 +247,7 @@ fn a_closed_fence_is_a_wall_and_an_open_one_is_not_seen() {
 }
 
 #[test]
-fn the_same_job_gives_the_same_bytes_and_a_cluster_agrees() {
+fn same_job_gives_same_bytes_in_process_and_cluster() {
     let sandbox = Sandbox::new();
     room(&sandbox, &[0, 255, 0, 255]);
     let flags = "--backend cpu --alpha-textures --target-error 0.01 --block-cells 1";
@@ -266,7 +267,7 @@ fn the_same_job_gives_the_same_bytes_and_a_cluster_agrees() {
 }
 
 #[test]
-fn exact_queries_refuse_masks_and_say_what_to_do() {
+fn exact_queries_reject_masks_with_remedy() {
     let sandbox = Sandbox::new();
     room(&sandbox, &[0, 0, 255, 255]);
     for method in ["exact", "verified"] {
@@ -275,7 +276,7 @@ fn exact_queries_refuse_masks_and_say_what_to_do() {
                 "bake {JOB} -o x.pvs --data-dir x --alpha-textures --method {method}"
             ))
             .code(2)
-            .says("exact queries do not read alpha textures; leave out --alpha-textures");
+            .says("exact queries do not read alpha textures; omit --alpha-textures");
     }
     sandbox.write("q.jsonl", "");
     sandbox
@@ -295,13 +296,13 @@ fn exact_queries_refuse_masks_and_say_what_to_do() {
         .run("verify room.gltf a.pvs")
         .code(3)
         .says("has no certificates");
-    // A scene without masks gets a warning, and the same bytes as without the flag.
+    // A scene without masks causes a warning, and has the same bytes as without the flag.
     sandbox.ok("generate rooms -o plain.glb --triangles 1000");
     let line = "bake plain.glb --cells 1x1x1 --target-error 0.05 --backend cpu --data-dir";
     sandbox
         .run(&format!("{line} p -o p.pvs --alpha-textures"))
         .code(0)
-        .says("--alpha-textures changes nothing");
+        .says("--alpha-textures has no effect");
     sandbox.ok(&format!("{line} q -o q.pvs"));
     assert_same(
         &sandbox.read("p.pvs"),

@@ -1,21 +1,22 @@
-//! Ambient occlusion on a cluster of real processes: whoever computes, the bytes are those of the solver in
-//! this process; and what a coordinator refuses.
+//! Tests of ambient occlusion on a cluster of real processes.
+//!
+//! The bytes equal the bytes of the solver in this process, and the coordinator rejects invalid requests.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use sightline::{Client, Endpoint, OrderedReceivers, Silent, Submission};
-use sightline_ambient::{Falloff, Light, Prepared, Receiver, Settings, Solver};
-use sightline_proto::connecting::{Connection, Credentials};
+use sightline_ambient::{AmbientScene, Falloff, Light, Receiver, Solver, SolverSettings};
+use sightline_proto::connection::{Connection, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 use sightline_tests::{Coordinator, Sandbox};
 use tonic::{Code, Status};
 
 const SCENE: &str = "generate town --triangles 2000 -o town.glb";
-/// Metres.
+/// The maximum distance of occluders, in metres.
 const DISTANCE: f64 = 1.0;
-/// Five tiles.
+/// The number of receivers, which fill five tiles.
 const RECEIVERS: usize = 18_000;
 
 fn town(sandbox: &Sandbox) -> Scene {
@@ -23,11 +24,11 @@ fn town(sandbox: &Sandbox) -> Scene {
     sightline_scene::load(&sandbox.path("town.glb")).unwrap()
 }
 
-/// Points on the triangles of a scene, one after the other.
+/// Returns points on the triangles of a scene, one after the other.
 fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
     let mut out = Vec::new();
     let triangles = scene.triangles();
-    // Away from the edges; a triangle's further points lie on the line to its first corner.
+    // The points are away from the edges. Further points of a triangle are on the line to its first corner.
     for turn in 0u32.. {
         for (id, triangle) in (0u32..).zip(triangles) {
             let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
@@ -41,7 +42,7 @@ fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
             out.push(Receiver {
                 point,
                 normal: normal.normalize(),
-                triangle: Some(id),
+                triangle: Some(TriangleId(id)),
             });
             if out.len() == count {
                 return out;
@@ -51,13 +52,13 @@ fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
     out
 }
 
-/// Openness with falloff, and a light.
-fn settings() -> Settings {
+/// Returns settings with falloff and a light.
+fn settings() -> SolverSettings {
     let light = Light::new(&[[0.0, 9.0, 0.0], [5.0, 9.0, 0.0], [5.0, 9.0, 5.0]]).unwrap();
-    Settings {
+    SolverSettings {
         falloff: Falloff::Sqrt,
         lights: vec![light],
-        ..Settings::new(DISTANCE)
+        ..SolverSettings::new(DISTANCE)
     }
 }
 
@@ -77,11 +78,11 @@ fn library_client(coordinator: &Coordinator<'_>) -> Client {
 }
 
 #[test]
-fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
+fn cluster_with_killed_worker_gives_bytes_of_solver() {
     let sandbox = Sandbox::new();
     let scene = town(&sandbox);
     let all = receivers(&scene, RECEIVERS);
-    let prepared = Prepared::new(&scene, false).unwrap();
+    let prepared = AmbientScene::new(&scene, false).unwrap();
     let solver = Solver::new(&prepared, settings());
     let ordered = OrderedReceivers::new(&solver, &all);
     let submission = Submission {
@@ -106,7 +107,7 @@ fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
             working.remove(0).kill();
         }
         coordinator.ok(&format!("watch {}", job.id));
-        // The same again is answered with the same job.
+        // The same submission returns the same job.
         let handle = client
             .submit_ambient(&scene, &ordered, &submission, &Silent)
             .unwrap();
@@ -120,7 +121,7 @@ fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
         let openness = handle.fetch_openness(&ordered, &Silent).unwrap();
         assert_eq!(openness.missing(), 0);
         results.push((again.result, openness));
-        // It has no sets.
+        // The job has no sets.
         coordinator
             .run(&format!("fetch {} -o town.pvs", job.id))
             .code(2)
@@ -142,7 +143,7 @@ fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
         .iter()
         .fold(0.0, |most: f64, a| most.max(a.openness.bound));
     assert_eq!(openness.bound, bound);
-    // Some are in the open, and some are not.
+    // Some receivers are in the open, and others are not.
     let mean = |k: usize| {
         expected
             .iter()
@@ -165,8 +166,9 @@ fn job_without_receivers_waits_for_upload() {
     let sandbox = Sandbox::new();
     let scene = town(&sandbox);
     let all = receivers(&scene, 300);
-    let prepared = Prepared::new(&scene, false).unwrap();
-    let ordered = OrderedReceivers::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all);
+    let prepared = AmbientScene::new(&scene, false).unwrap();
+    let ordered =
+        OrderedReceivers::new(&Solver::new(&prepared, SolverSettings::new(DISTANCE)), &all);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let client = library_client(&coordinator);
     let submission = Submission::default();
@@ -179,7 +181,7 @@ fn job_without_receivers_waits_for_upload() {
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
     std::fs::remove_file(sandbox.path(&blob)).unwrap();
     let _worker = coordinator.worker();
-    // The job waits, and says for what.
+    // The job waits, and reports the missing blob.
     let paused = coordinator.until(job, "a pause", |job| job["state"] == "paused");
     assert!(
         paused["reason"]
@@ -193,7 +195,7 @@ fn job_without_receivers_waits_for_upload() {
             .ok(&format!("logs {job}"))
             .contains("send the receivers again")
     );
-    // The same again sends them, and the job goes on.
+    // The same submission uploads the receivers, and the job continues.
     let again = client
         .submit_ambient(&scene, &ordered, &submission, &Silent)
         .unwrap();
@@ -224,7 +226,7 @@ fn refused<T>(answer: Result<T, Status>, code: Code, text: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_computed_is_refused_with_a_reason() {
+async fn invalid_receivers_and_jobs_are_rejected_with_reason() {
     let sandbox = Sandbox::new();
     let scene = town(&sandbox);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -257,13 +259,13 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
             .await
             .map(tonic::Response::into_inner)
     };
-    let prepared = Prepared::new(&scene, false).unwrap();
+    let prepared = AmbientScene::new(&scene, false).unwrap();
     let ordered = |change: &dyn Fn(&mut Receiver)| {
         let mut all = receivers(&scene, 3);
         all.iter_mut().for_each(change);
-        OrderedReceivers::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all)
+        OrderedReceivers::new(&Solver::new(&prepared, SolverSettings::new(DISTANCE)), &all)
     };
-    // Damaged in all ways that have a message of their own; the layout is in docs/formats/ambient.md.
+    // Receivers with each kind of damage that has its own message. The layout is in docs/formats/ambient.md.
     let good = ordered(&|_| ()).receivers().encode().unwrap();
     let bent = |at: usize, with: &[u8]| {
         let mut bytes = good.clone();
@@ -276,7 +278,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(
         put(&bent(0, b"X")).await,
         Code::InvalidArgument,
-        "do not begin",
+        "not SLRECV01",
     );
     refused(put(&bent(8, &nan)).await, Code::InvalidArgument, "distance");
     refused(
@@ -288,12 +290,12 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(
         put(&bent(17, &u32::MAX.to_le_bytes())).await,
         Code::InvalidArgument,
-        "announce more",
+        "exceeds the remaining bytes",
     );
     refused(
         put(&bent(21, &u32::MAX.to_le_bytes())).await,
         Code::InvalidArgument,
-        "announce more",
+        "exceeds the remaining bytes",
     );
     refused(
         put(&bent(first, &nan)).await,
@@ -308,9 +310,9 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(
         put(&good[..good.len() - 1]).await,
         Code::InvalidArgument,
-        "blocks",
+        "block sizes",
     );
-    // Lights.
+    // Damaged lights.
     let lit = |corners: &[[f64; 3]]| {
         let words = [1, corners.len() as u32]
             .into_iter()
@@ -329,7 +331,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     for (light, text) in [
         (
             &dented,
-            "light 0 of the job cannot be used: it is not convex at corner 2; divide it",
+            "light 0 of the job cannot be used: the polygon is not convex at corner 2; divide it",
         ),
         (
             &lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0]]),
@@ -349,10 +351,10 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     put(&lit(&[[0.0, 9.0, 0.0], [0.0, 9.0, 4.0], [4.0, 9.0, 0.0]]))
         .await
         .unwrap();
-    // Jobs.
+    // Invalid jobs.
     let mut jobs = client.clone();
     let receivers = ordered(&|_| ());
-    // The client of the library blocks.
+    // The client of the library blocks, so it needs a thread.
     std::thread::scope(|scope| {
         let submit = || {
             let submission = Submission::default();
@@ -382,7 +384,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
             .map(tonic::Response::into_inner)
     };
     let digest = put(&good).await.unwrap().digest;
-    // What the coordinator fills in makes no other job.
+    // Fields that the coordinator fills in do not change the job.
     assert!(submit(digest.clone(), &|_| ()).await.unwrap().existing);
     refused(
         submit(vec![9; 32], &|_| ()).await,
@@ -397,9 +399,9 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(
         submit(scene.digest().0.to_vec(), &|_| ()).await,
         Code::InvalidArgument,
-        "do not begin",
+        "not SLRECV01",
     );
-    // Named without having been checked.
+    // The submission references receivers that were not checked.
     put_chunk(&dented).await;
     let unchecked = blake3::hash(&dented).as_bytes().to_vec();
     refused(
@@ -412,7 +414,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
         Code::NotFound,
         "scene",
     );
-    let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1))
+    let beyond = ordered(&|r| r.triangle = Some(TriangleId(u32::MAX - 1)))
         .receivers()
         .encode()
         .unwrap();
@@ -422,7 +424,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
         Code::InvalidArgument,
         "triangle 4294967294",
     );
-    // Without workers there is nothing to fetch.
+    // Without workers, no result exists.
     let job = submit(digest, &|_| ()).await.unwrap().job.unwrap();
     let request = v1::ShowRequest { job: job.id };
     refused(
@@ -433,6 +435,6 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(
         jobs.fetch_partial(request).await.map(drop),
         Code::FailedPrecondition,
-        "none of the tiles",
+        "no finished tile",
     );
 }

@@ -1,5 +1,5 @@
-//! `sightline ambient` as a user runs it: points in and answers out, and the scene's own file with its
-//! occlusion.
+//! Tests of `sightline ambient` as a user runs it: answers for points, and a copy of the scene's file with
+//! its occlusion.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -38,7 +38,7 @@ fn points_are_answered_in_order() {
     let [middle, above] = &lines[..] else {
         panic!("{out}")
     };
-    // The ceiling hides a circle of the hemisphere: sin² of it.
+    // The ceiling hides a disc of the hemisphere, with the share sin² of its angle.
     assert!(
         (middle["open"].as_f64().unwrap() - 0.25).abs() < 1e-9,
         "{middle}"
@@ -70,13 +70,13 @@ fn points_are_answered_in_order() {
 }
 
 #[test]
-fn what_cannot_be_answered_is_refused_with_a_reason() {
+fn unanswerable_points_are_rejected_with_reason() {
     let sandbox = hall();
     let ambient = |flags: &str| sandbox.run(&format!("ambient hall.obj {flags}"));
     for (distance, text) in [
-        ("0", "no distance"),
-        ("-1", "no distance"),
-        ("far", "no distance"),
+        ("0", "not a number above 0"),
+        ("-1", "not a number above 0"),
+        ("far", "not a number above 0"),
     ] {
         ambient(&format!("--points points.jsonl --distance {distance}"))
             .code(3)
@@ -91,7 +91,7 @@ fn what_cannot_be_answered_is_refused_with_a_reason() {
         (r#"{"point":[0,0,null],"normal":[0,0,1]}"#, "line 2"),
         (
             r#"{"point":[0,0,1e300],"normal":[0,0,1]}"#,
-            "not near any scene",
+            "is out of range",
         ),
         (
             r#"{"point":[0,0,0],"normal":[0,0,1],"triangle":4}"#,
@@ -150,10 +150,10 @@ fn what_cannot_be_answered_is_refused_with_a_reason() {
     ambient("-o hall.obj").code(3);
     ambient("--points points.jsonl --cull-back-faces")
         .code(2)
-        .says("either side");
+        .says("both sides");
     ambient("-o out.glb --cull-back-faces")
         .code(2)
-        .says("either side");
+        .says("both sides");
     ambient("--points .").code(3).says("give --points a file");
     sandbox.write("none.jsonl", "");
     let none = ambient("--points none.jsonl").code(0);
@@ -165,13 +165,13 @@ fn what_cannot_be_answered_is_refused_with_a_reason() {
         .says("input itself");
 }
 
-/// The mean of the texels on the surface, and the whole document.
+/// Bakes the occlusion into a file. Returns the report.
 fn bake(sandbox: &Sandbox, flags: &str) -> Value {
     sandbox.json(&format!("ambient hall.obj -o out.glb --distance 2 {flags}"))
 }
 
 #[test]
-fn the_scenes_own_file_gets_its_occlusion() {
+fn scene_file_gets_occlusion() {
     let sandbox = hall();
     let told = bake(&sandbox, "--resolution 64 --workers 1 --data-dir one");
     let written = sandbox.read("out.glb");
@@ -180,15 +180,15 @@ fn the_scenes_own_file_gets_its_occlusion() {
         told["points"].as_u64() >= told["receivers"].as_u64() && told["inside"] == 0,
         "{told}"
     );
-    // A quarter in the middle and more at the borders.
+    // The mean is a quarter in the middle, and more at the borders.
     let mean = told["mean_open"].as_f64().unwrap();
     assert!((0.25..0.6).contains(&mean), "{told}");
-    // Two workers, and what is stored already, give the same bytes.
+    // Two workers, and stored tiles, give the same bytes.
     for flags in ["--workers 2 --data-dir two", "--workers 1 --data-dir one"] {
         bake(&sandbox, &format!("--resolution 64 {flags}"));
         assert_same(&written, &sandbox.read("out.glb"), flags);
     }
-    // A cluster, too.
+    // A cluster gives the same bytes, too.
     let coordinator = sandbox.coordinator("cluster", "127.0.0.1:0");
     let _worker = coordinator.worker();
     bake(

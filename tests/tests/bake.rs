@@ -1,5 +1,5 @@
-//! `sightline bake`: interrupted and continued, on every available backend, with the options that change its
-//! behaviour.
+//! Tests of `sightline bake`: interrupted and continued, on every available backend, and with the options
+//! that change its behaviour.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,34 +13,34 @@ use sightline_tests::{Dump, Sandbox, assert_same, in_ci, wait_for};
 
 const ROOMS: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const MAZE: &str = "generate maze --grid 3x3 -o maze.glb";
-/// A bake that takes about a second.
+/// The arguments of a bake that takes about a second.
 const QUICK: &str = "maze.glb --cells 2x2x1 --resolution 32 --backend cpu --data-dir data";
 
 #[test]
-fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
+fn interrupted_bake_continues_and_gives_same_bytes() {
     let sandbox = Sandbox::new();
     sandbox.ok(ROOMS);
     let job = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
     let whole = sandbox.json(&format!("bake {job} -o whole.pvs --data-dir whole"));
-    // Ctrl-C and a kill, each from a fresh start.
+    // Ctrl-C and a kill, each from a new start.
     for signal in ["INT", "KILL"] {
         let again = format!("bake {job} -o {signal}.pvs --data-dir {signal}");
         let bake = sandbox.start(&again);
-        // The scene and some finished tiles.
+        // Wait for the scene and some finished tiles.
         wait_for("finished tiles", || {
             (sandbox.files_below(&format!("{signal}/blobs")) > 8).then_some(())
         });
         bake.signal(signal);
         if signal == "INT" {
-            bake.end().code(130).says("the same command goes on");
+            bake.end().code(130).says("the same command continues");
         } else {
             bake.kill();
         }
         let output = format!("{signal}.pvs");
         assert!(!sandbox.path(&output).exists(), "no result before the end");
 
-        let continued = sandbox.run(&again).code(0).says("going on: ");
-        let said = continued.err.split("going on: ").nth(1).unwrap();
+        let continued = sandbox.run(&again).code(0).says("continuing: ");
+        let said = continued.err.split("continuing: ").nth(1).unwrap();
         let mut words = said.split(' ');
         let done: u32 = words.next().unwrap().parse().unwrap();
         let total: u32 = words.nth(1).unwrap().parse().unwrap();
@@ -50,7 +50,7 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
         );
         assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), signal);
 
-        // Another run has nothing left to do.
+        // Another run has no tiles left to compute.
         let stored = sandbox
             .run(&format!("{again} --json"))
             .code(0)
@@ -71,7 +71,7 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
 }
 
 #[test]
-fn the_number_of_workers_changes_no_byte() {
+fn number_of_workers_does_not_affect_bytes() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     for n in [1, 4] {
@@ -110,7 +110,7 @@ fn adaptive_cells_keep_to_budget_or_depth() {
         &sandbox.read("4.pvs"),
         "1 and 4 workers",
     );
-    assert!(sandbox.ok("info 1.pvs").contains("only those of a grid"));
+    assert!(sandbox.ok("info 1.pvs").contains("only cells of a grid"));
     let sampling = sampling_of(&sandbox.json("info 1.pvs")).clone();
     assert!(sampling["lines"].is_object(), "{sampling}");
     let measured = sandbox.json("measure maze.glb 1.pvs --viewpoints 20 --seed 3 --resolution 64");
@@ -126,7 +126,7 @@ fn adaptive_cells_keep_to_budget_or_depth() {
         .says("--cells");
 }
 
-/// Checks that the cells of an adaptive tree fill the view box, and that only cells at the greatest depth see
+/// Checks that the cells of an adaptive tree fill the view box, and that only cells at the maximum depth see
 /// more triangles than the budget.
 fn keeps_to(dump: &Dump, budget: usize, depth: u32) {
     let [low, high] = dump.view_box();
@@ -181,7 +181,7 @@ fn every_error_measure_and_superset_choice_works() {
 }
 
 #[test]
-fn the_view_box_is_the_one_asked_for() {
+fn view_box_is_the_requested_box() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox.ok(&format!(
@@ -207,7 +207,7 @@ fn the_view_box_is_the_one_asked_for() {
 }
 
 #[test]
-fn a_cell_size_gives_the_fewest_cells_with_such_sides() {
+fn cell_size_gives_fewest_cells_of_that_size() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let bake = |flags: &str| {
@@ -229,7 +229,7 @@ fn a_cell_size_gives_the_fewest_cells_with_such_sides() {
 }
 
 #[test]
-fn an_output_that_cannot_be_written_is_refused_before_any_work() {
+fn unwritable_output_is_rejected_before_work() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox.write("notes", "keep me\n");
@@ -243,7 +243,7 @@ fn an_output_that_cannot_be_written_is_refused_before_any_work() {
         sandbox
             .run(&format!("bake {QUICK} -o {output}"))
             .code(2)
-            .says("its name promises");
+            .says("but the command writes a .");
     }
     assert!(!sandbox.path("data").exists());
     assert_eq!(sandbox.read("notes"), b"keep me\n");
@@ -254,7 +254,7 @@ fn an_output_that_cannot_be_written_is_refused_before_any_work() {
     sandbox
         .run("mesh maze.glb -o maze.glb")
         .code(2)
-        .says("its name promises");
+        .says("but the command writes a .");
     sandbox.ok("mesh maze.glb -o maze.ply");
     sandbox
         .run("mesh maze.ply -o maze.ply")
@@ -263,7 +263,7 @@ fn an_output_that_cannot_be_written_is_refused_before_any_work() {
 }
 
 #[test]
-fn flags_of_another_sampler_are_named_and_change_nothing() {
+fn flags_of_other_sampler_are_reported_without_effect() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --cells 2x2x1 --backend cpu --data-dir data";
@@ -271,12 +271,12 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
     let again = sandbox
         .run(&format!("{bake} --resolution 64 --rays 5 -o b.pvs --json"))
         .code(0);
-    again.says("makes no use of --rays, --resolution");
+    again.says("does not use --rays, --resolution");
     assert_eq!(
         sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"],
         true
     );
-    // Invalid values are refused even for flags without effect.
+    // Invalid values are rejected even for flags without effect.
     sandbox
         .run(&format!("{bake} --resolution 4 -o d.pvs"))
         .code(2);
@@ -289,14 +289,14 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
 }
 
 #[test]
-fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
+fn smaller_tiles_use_more_workers_and_keep_target_error() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --cells 4x4x4 --backend cpu --target-error 0.001";
     let make = |flags: &str, name: &str| {
         sandbox.ok(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
     };
-    // The target error is kept on average; one seed may miss it.
+    // The mean over seeds keeps the target error; one seed may miss it.
     for (flags, name) in [("", "whole"), ("--block-cells 8 --workers 1", "cut")] {
         let mut sum = 0.0;
         for seed in 1..=4 {
@@ -323,7 +323,7 @@ fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
 }
 
 #[test]
-fn what_a_time_budget_cut_short_is_said() {
+fn bake_reports_cut_by_time_budget() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --backend cpu --time-budget 1ms";
@@ -337,7 +337,7 @@ fn what_a_time_budget_cut_short_is_said() {
     assert!(
         sandbox
             .ok("info b.pvs")
-            .contains("was not reached in any cell")
+            .contains("no cell reached the requested bound")
     );
     sandbox.ok(&format!("{bake} --sampler guided --data-dir d -o d.pvs"));
     assert!(
@@ -360,7 +360,7 @@ fn what_a_time_budget_cut_short_is_said() {
 }
 
 #[test]
-fn a_flat_scene_needs_a_view_box() {
+fn flat_scene_needs_view_box() {
     let sandbox = Sandbox::new();
     sandbox.write(
         "flat.obj",
@@ -378,7 +378,7 @@ fn a_flat_scene_needs_a_view_box() {
 }
 
 #[test]
-fn the_gpu_backend_bakes_where_there_is_vulkan() {
+fn gpu_backend_bakes_with_vulkan() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let job = "bake maze.glb --cells 1x1x1 --resolution 32 --backend gpu -o gpu.pvs --json";
@@ -402,7 +402,7 @@ fn the_gpu_backend_bakes_where_there_is_vulkan() {
 }
 
 #[test]
-fn the_backend_that_is_taken_unasked_bakes_as_when_it_is_named() {
+fn default_backend_bakes_like_named_backend() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let job = "bake maze.glb --cells 2x2x1";
@@ -422,7 +422,7 @@ fn the_backend_that_is_taken_unasked_bakes_as_when_it_is_named() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn without_embree_the_gpu_is_taken_and_the_reason_told() {
+fn missing_embree_is_reported_and_not_needed() {
     let mut sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     // The loader finds these files first and cannot load them, as if Embree were missing.
@@ -436,37 +436,20 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
         sandbox.write(&format!("hidden/{name}"), "not a library");
     }
     sandbox.set("LD_LIBRARY_PATH", sandbox.path("hidden"));
-    let job = "bake maze.glb --cells 1x1x1 --resolution 32 --data-dir data -o out.pvs --json";
+    let job = "bake maze.glb --cells 1x1x1 --resolution 32 --data-dir data -o out.pvs";
     sandbox
-        .run(&format!("{job} --backend cpu"))
+        .run(&format!("{job} --backend embree"))
         .code(1)
-        .says("Embree is not installed")
+        .says("embree backend: Embree is not installed")
         .says("apt-get install");
-    let run = sandbox.run(job);
-    if run.err.contains("no backend can sample") && !in_ci() {
-        run.code(1).says("cpu backend: ").says("gpu backend: ");
-        eprintln!("skipped: there is no Vulkan here");
-        return;
-    }
-    let made: Value = serde_json::from_str(
-        &run.code(0)
-            .says("note: cpu backend: Embree is not installed")
-            .out,
-    )
-    .unwrap();
-    assert!(
-        made["info"]["profile"]
-            .as_str()
-            .unwrap()
-            .starts_with("gpu/"),
-        "{made}"
-    );
+    let made = sandbox.json(&format!("{job} --backend cpu"));
+    assert_eq!(made["info"]["profile"], "cpu/1");
 }
 
-/// Sight lines cross cells, and different workers bake different blocks: one worker gives the same bytes as
-/// three workers that are killed in the middle and started again.
+/// Checks that one worker gives the same bytes as three workers that are killed in the middle and started
+/// again. Sight lines cross cells, and different workers bake different blocks.
 #[test]
-fn sight_lines_give_the_same_bytes_however_they_are_traced() {
+fn sight_lines_give_same_bytes_with_any_workers() {
     let sandbox = Sandbox::new();
     sandbox.ok(ROOMS);
     let job = "rooms.glb --cells 12x8x8 --backend cpu --max-error 0.003";
@@ -499,7 +482,7 @@ fn sight_lines_give_the_same_bytes_however_they_are_traced() {
 }
 
 #[test]
-fn a_time_budget_ends_with_a_result() {
+fn time_budget_ends_with_result() {
     let sandbox = Sandbox::new();
     sandbox.ok(ROOMS);
     let start = std::time::Instant::now();

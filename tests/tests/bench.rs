@@ -1,4 +1,5 @@
-//! `sightline bench`: a tiny run writes every file, and the table of its points is whole and true.
+//! Tests of `sightline bench`: a small run writes every file, and its table of points is complete and
+//! correct.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -6,7 +7,7 @@ use std::collections::BTreeMap;
 
 use sightline_tests::Sandbox;
 
-/// The rows of a CSV file without quotes, by the names of the header.
+/// Parses the rows of a CSV file without quotes, by the names of the header.
 fn rows(text: &str) -> Vec<BTreeMap<&str, &str>> {
     let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = lines.next().unwrap();
@@ -25,10 +26,10 @@ fn number(row: &BTreeMap<&str, &str>, column: &str) -> f64 {
 }
 
 #[test]
-fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() {
+fn small_run_writes_points_with_repeats_and_all_curves() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 3x3 -o maze.glb");
-    // The coarsest point of each sampler is good enough.
+    // The coarsest point of each sampler is accurate enough.
     let report = sandbox.json(
         "bench maze.glb --samplers lines,max-error,verified,exact --cells 4x1x4 --viewpoints 4 \
          --resolution 16 --least-error 1 --repeat 2 --out out --results out/RESULTS.md",
@@ -71,7 +72,7 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
     assert_eq!(bounded["parameter"], "--max-error 0.03");
     assert!(number(bounded, "greatest_bound") <= 0.03, "{bounded:?}");
 
-    // Sixteen cells of a maze are decided before the least time budget ends.
+    // Sixteen cells of a maze are decided before the smallest time budget ends.
     let verified = rows_of("verified");
     assert_eq!(
         number(verified.last().unwrap(), "undecided_share"),
@@ -85,7 +86,7 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
         "{csv}"
     );
 
-    // A block has no more layers than the grid.
+    // A block does not have more layers than the grid.
     let cells: Vec<_> = rows_of("exact").iter().map(|r| r["cells"]).collect();
     assert_eq!(cells, ["1", "4"]);
     assert!(
@@ -107,7 +108,7 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
     let points = report["scenes"][0]["points"].as_array().unwrap();
     assert_eq!(points.len(), rows.len());
     for (point, row) in points.iter().zip(&rows) {
-        // The last digit of a number read from JSON may differ.
+        // The last digit of a number that is read from JSON may differ.
         assert!(
             (point["seconds"].as_f64().unwrap() - number(row, "seconds")).abs() < 1e-9,
             "{point}"
@@ -116,7 +117,7 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
 }
 
 #[test]
-fn growth_is_repeated_as_well_and_no_repeats_are_refused() {
+fn growth_is_repeated_and_zero_repeats_are_rejected() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 2x2 -o maze.glb");
     sandbox.ok("bench maze.glb --grow workers --grow-error 1 --cells 2x1x2 --repeat 3 --out out");

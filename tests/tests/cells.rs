@@ -1,4 +1,5 @@
-//! Which cells see which: against brute force, by every sampler, exactly with proofs, and how it is asked.
+//! Tests of cell-to-cell visibility: against brute force, by every sampler, exactly with proofs, and in
+//! queries.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,7 +13,7 @@ use std::collections::BTreeSet;
 use serde_json::Value;
 use sightline_tests::{Sandbox, assert_same};
 
-/// Ids of cells by cell, from `dump --items cells`.
+/// Returns the visible and the undecided cells of each cell, from `dump --items cells`.
 fn cells(sandbox: &Sandbox, file: &str) -> Vec<(BTreeSet<u64>, BTreeSet<u64>)> {
     let text = sandbox.ok(&format!("dump {file} --items cells"));
     let ids = |v: &Value| {
@@ -31,7 +32,7 @@ fn cells(sandbox: &Sandbox, file: &str) -> Vec<(BTreeSet<u64>, BTreeSet<u64>)> {
         .collect()
 }
 
-/// The fraction of free random pairs of points whose cells are said not to see each other.
+/// Returns the fraction of random unobstructed pairs of points whose cells are not a pair in the result.
 fn missed(sandbox: &Sandbox, scene: &str, file: &str) -> f64 {
     let report = sandbox.json(&format!(
         "measure {scene} {file} --viewpoints 1 --resolution 8 --pairs 300000"
@@ -47,7 +48,7 @@ fn maze() -> Sandbox {
 }
 
 #[test]
-fn cells_that_random_segments_join_see_each_other_by_every_sampler() {
+fn samplers_find_cells_that_random_segments_join() {
     let sandbox = maze();
     let ways = [
         ("lines", "--cells 6x2x6", 1e-3),
@@ -71,7 +72,7 @@ fn cells_that_random_segments_join_see_each_other_by_every_sampler() {
         ("tree", "--triangle-budget 200 --max-depth 6", 1e-3),
     ];
     for (name, flags, most) in ways {
-        // Above the floor's inside, a thin gap between two planes.
+        // The view box is above the inside of the floor, which is a thin gap between two planes.
         let air = "--view-box 0,0.05,0,16,2.3,16";
         sandbox.ok(&format!(
             "bake maze.glb -o {name}.pvs --data-dir {name} {air} {flags}"
@@ -94,7 +95,7 @@ fn cells_that_random_segments_join_see_each_other_by_every_sampler() {
 }
 
 #[test]
-fn exact_pairs_hold_the_sampled_ones_and_are_proved() {
+fn exact_pairs_contain_sampled_pairs_with_proofs() {
     let sandbox = maze();
     let job = "bake maze.glb --cells 3x2x3 --view-box 0,0,0,8,2.4,8";
     sandbox.ok(&format!("{job} -o lines.pvs --data-dir lines"));
@@ -127,9 +128,9 @@ fn exact_pairs_hold_the_sampled_ones_and_are_proved() {
 }
 
 #[test]
-fn a_wall_is_between_two_rooms_and_queries_say_so() {
+fn wall_separates_cells_of_two_rooms() {
     let sandbox = Sandbox::new();
-    // Two closed rooms of 2×2×2 beside each other with a common wall at x = 2.
+    // Two closed rooms of 2×2×2 next to each other, with a common wall at x = 2.
     let mut text = String::new();
     let mut vertices = 0;
     let mut quad = |corners: [[f32; 3]; 4]| {
@@ -163,7 +164,7 @@ fn a_wall_is_between_two_rooms_and_queries_say_so() {
             "bake rooms.obj -o {file}.pvs --cells 8x2x2 --data-dir {file} {flags}"
         ));
         let ask = |what: &str| sandbox.json(&format!("query {file}.pvs {what}"));
-        // Two cells apart, on both sides of the wall.
+        // Two separate cells, on opposite sides of the wall.
         let across = ask("1 1 1 --sees 3 1 1");
         assert_eq!(
             (across["sees"].as_bool(), across["state"].as_str()),
@@ -172,7 +173,7 @@ fn a_wall_is_between_two_rooms_and_queries_say_so() {
         assert_eq!(ask("0.2 1 1 --sees 1.8 1 1")["state"], "visible");
         assert_eq!(ask("1 1 1 --box 2.9,0.5,0.5,3.1,1,1")["sees"], false);
         assert_eq!(ask("1 1 1 --box 1.1,0.5,0.5,3.1,1,1")["sees"], true);
-        // Beyond the view box nothing is known.
+        // Beyond the view box, visibility is unknown.
         assert_eq!(ask("1 1 1 --box 3,0.5,0.5,9,1,1")["sees"], true);
         let here = ask("1 1 1")["cell"].as_u64().unwrap();
         assert_eq!(ask(&format!("3 1 1 --cell {here}"))["sees"], false);
@@ -204,7 +205,7 @@ fn a_wall_is_between_two_rooms_and_queries_say_so() {
 }
 
 #[test]
-fn exact_pairs_are_no_farther_apart_than_lines_reach() {
+fn exact_pairs_end_at_distance_of_lines() {
     let sandbox = maze();
     let job = "bake maze.glb --cells 4x2x4 --view-box 0,0.05,0,16,2.3,16 --far 3";
     sandbox.ok(&format!("{job} -o lines.pvs --data-dir lines"));

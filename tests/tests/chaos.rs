@@ -1,10 +1,13 @@
-//! The chaos harness (`scripts/chaos.sh`, docs/chaos.md) with the seeds that once found something and a dozen
-//! more: real processes in network namespaces, killed, stopped, cut off and damaged, give the calm run's
-//! bytes. The dozen has every kind of farm: one coordinator, two on PostgreSQL, blobs in a bucket, a liar.
+//! Runs the chaos harness (`scripts/chaos.sh`, docs/chaos.md) with the seeds that once found a fault, and
+//! with a dozen more seeds.
 //!
-//! Needs root, what `scripts/setup.sh --for test` installs, and the programs of `cargo build --workspace`.
-//! Where the harness says that it cannot run, the test says so in one line and passes; where `CI` is set it
-//! fails instead.
+//! Real processes in network namespaces are killed, stopped, cut off and damaged, and have to give the bytes
+//! of the calm run. The dozen covers every kind of farm: one coordinator, two on PostgreSQL, blobs in a
+//! bucket, and a faulty worker.
+//!
+//! The test needs root, the packages of `scripts/setup.sh --for test`, and the programs of
+//! `cargo build --workspace`. If the harness reports that it cannot run, the test prints this in one line and
+//! passes. If `CI` is set, the test fails instead.
 
 #![allow(clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
@@ -13,12 +16,12 @@ use std::process::Command;
 
 use sightline_tests::{in_ci, program};
 
-/// What the harness ends with on a machine that lacks what it needs.
+/// The exit code of the harness on a machine that lacks a requirement.
 const CANNOT_RUN: i32 = 2;
-/// Fresh schedules, with the seeds from 1 on.
+/// The number of new schedules, with the seeds from 1 on.
 const FRESH: &str = "12";
 
-/// Runs the harness; panics with what it says unless it ends well, or cannot run outside of CI.
+/// Runs the harness. Panics with its output if it fails, or on CI if it cannot run.
 fn harness(arguments: &[&str]) {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scripts/chaos.sh");
     let ran = Command::new(script)
@@ -37,11 +40,11 @@ fn harness(arguments: &[&str]) {
 }
 
 #[test]
-fn chaos_changes_no_byte_and_loses_nothing_acknowledged() {
+fn chaos_keeps_bytes_and_acknowledged_changes() {
     harness(&["--regressions", "--schedules", FRESH, "--jobs", "4"]);
 }
 
 #[test]
-fn chaos_finds_what_is_wrong() {
+fn chaos_detects_injected_fault() {
     harness(&["--self-check"]);
 }

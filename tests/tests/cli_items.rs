@@ -1,4 +1,4 @@
-//! Faults that commands report before they begin to work, and what happens when stdout cannot be written.
+//! Tests of faults that commands report before they start to work, and of stdout that cannot be written.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -12,7 +12,7 @@ const BAKE: &str =
     "bake maze.glb --cells 2x2x2 --target-error 0.1 --backend cpu --data-dir data -o maze.pvs";
 
 #[test]
-fn worker_arguments_that_cannot_work_are_refused() {
+fn impossible_worker_arguments_are_rejected() {
     let sandbox = Sandbox::new();
     sandbox.run("worker --threads 0").code(2).says("1 to 1024");
     sandbox
@@ -22,7 +22,7 @@ fn worker_arguments_that_cannot_work_are_refused() {
 }
 
 #[test]
-fn a_mesh_is_written_as_ply_only() {
+fn mesh_is_written_only_as_ply() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox
@@ -33,11 +33,11 @@ fn a_mesh_is_written_as_ply_only() {
 }
 
 #[test]
-fn missing_inputs_and_unwritable_folders_are_found_before_the_scene_is_read() {
+fn missing_inputs_and_unwritable_folders_are_reported_before_scene() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox.ok(BAKE);
-    // The scene is missing as well: the message names the file that is read first.
+    // The scene is missing as well. The message names the file that is read first.
     sandbox
         .run("sightlines gone.glb --queries gone.jsonl")
         .code(3)
@@ -69,7 +69,7 @@ fn missing_inputs_and_unwritable_folders_are_found_before_the_scene_is_read() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_stdout_is_an_error_and_a_closed_one_is_not() {
+fn full_stdout_is_error_and_closed_stdout_is_not() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox.ok(BAKE);

@@ -1,5 +1,6 @@
-//! A client in ten lines: a file is sent, a scene is enough for a job, and the result is fetched, with
-//! nothing but HTTP. And gRPC's reflection by both of its names, and the interface against its frozen form.
+//! Tests of a client in ten lines: it uploads a file, submits a job with the scene, and downloads the result,
+//! only over HTTP. Also tests of the gRPC reflection by both of its names, and of the interface against its
+//! frozen form.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -11,7 +12,7 @@ use sightline_tests::{Sandbox, ask, in_ci};
 const CLIENT: &str = include_str!("../../docs/examples/client.py");
 
 #[test]
-fn ten_lines_of_python_bake_a_file() {
+fn ten_lines_of_python_bake_file() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 600 -o level.glb");
     let coordinator = sandbox.coordinator_with_pages("data");
@@ -36,7 +37,7 @@ fn ten_lines_of_python_bake_a_file() {
         "{}",
         String::from_utf8_lossy(&run.stderr)
     );
-    // The same as what the program gives for the same file.
+    // The result equals the result of the program for the same file.
     sandbox.ok("bake level.glb -o here.pvs --backend cpu");
     assert_eq!(sandbox.dump("level.pvs").cells.len(), 512);
     let [there, here] = ["level.pvs", "here.pvs"].map(|name| sandbox.ok(&format!("dump {name}")));
@@ -45,12 +46,12 @@ fn ten_lines_of_python_bake_a_file() {
         .lines()
         .filter(|line| !line.is_empty() && !line.starts_with('#'))
         .count();
-    // The last but one says why a job has no result.
+    // The last line but one prints the reason why a job has no result.
     assert!(lines <= 11, "{lines} lines");
 }
 
 #[test]
-fn a_file_that_is_no_scene_is_refused_in_words() {
+fn invalid_scene_file_is_rejected_with_message() {
     let sandbox = Sandbox::new();
     let coordinator = sandbox.coordinator_with_pages("data");
     let send = |name: &str, kind: &str, body: &[u8]| {
@@ -69,7 +70,7 @@ fn a_file_that_is_no_scene_is_refused_in_words() {
         refused.0 == 400 && refused.1.contains("level.glb"),
         "{refused:?}"
     );
-    // Another file beside it cannot be named: there is none.
+    // The file cannot reference another file, because an upload is a single file.
     let outside =
         br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"../../etc/passwd","byteLength":9}]}"#;
     let refused = send("level.gltf", bytes, outside);
@@ -82,7 +83,7 @@ fn a_file_that_is_no_scene_is_refused_in_words() {
 }
 
 #[test]
-fn questions_about_a_stored_result_are_answered_as_by_the_commands() {
+fn coordinator_answers_result_queries_like_commands() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 400 -o level.glb");
     let coordinator = sandbox.coordinator_with_pages("data");
@@ -118,7 +119,7 @@ fn questions_about_a_stored_result_are_answered_as_by_the_commands() {
         ),
         (&3.into(), false)
     );
-    // One that is seen and one that is hidden, each with its reason.
+    // One visible and one hidden triangle, each with its reason.
     let seen = dump.cells[0].visible[0];
     let hidden = (0..400)
         .find(|id| dump.cells[0].visible.binary_search(id).is_err())
@@ -137,7 +138,7 @@ fn questions_about_a_stored_result_are_answered_as_by_the_commands() {
         "invalid_argument"
     );
     assert_eq!(ask("Query", r#"{"job":99,"cell":0}"#)["code"], "not_found");
-    // The same numbers as the command's.
+    // The numbers equal the numbers of the command.
     let line =
         format!("measure level.glb {name} --viewpoints 20 --resolution 32 --seed 3 --backend cpu");
     let there = ask(

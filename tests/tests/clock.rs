@@ -1,4 +1,4 @@
-//! A coordinator whose wall clock steps between two runs.
+//! Tests of a coordinator whose wall clock steps between two runs.
 
 #![cfg(target_os = "linux")]
 #![allow(
@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use sightline_tests::{Sandbox, in_ci, wait_for};
 
-/// Returns the library of Debian's package `faketime`, or `None`, after a line with the reason, where it
-/// is absent. On CI that is a failure.
+/// Returns the library of Debian's package `faketime`. If the library is absent, prints a line with the
+/// reason and returns `None`, which is a failure on CI.
 fn faketime() -> Option<PathBuf> {
     let folders = std::fs::read_dir("/usr/lib")
         .unwrap()
@@ -31,12 +31,13 @@ fn faketime() -> Option<PathBuf> {
     found
 }
 
-/// Runs a job, and starts the coordinator again after a step of the wall clock.
+/// Runs a job, starts the coordinator again after a step of the wall clock, and checks that the result
+/// exists.
 fn result_survives(step: &str, event: &str) {
     let Some(library) = faketime() else { return };
     let mut sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 2x2 -o maze.glb");
-    // Only the pass of retention ten seconds after the start says that it has run.
+    // Only the run of retention ten seconds after the start logs a message.
     sandbox.set("SIGHTLINE_LOG", "info,sightline_coordinator=debug");
     let arguments = "--listen 127.0.0.1:0 --keep 24h";
     let job = {
@@ -49,7 +50,7 @@ fn result_survives(step: &str, event: &str) {
     };
     sandbox.set("LD_PRELOAD", library);
     sandbox.set("FAKETIME", step);
-    // Files keep their true times, and the monotonic clock runs on.
+    // Files keep their true times, and the monotonic clock continues.
     sandbox.set("NO_FAKE_STAT", "1");
     sandbox.set("DONT_FAKE_MONOTONIC", "1");
     sandbox.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");

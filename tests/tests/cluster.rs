@@ -1,5 +1,5 @@
-//! A cluster of real processes: whichever process dies, and at any time, the result is that of a single
-//! process.
+//! Tests of a cluster of real processes: if any process dies at any time, the result equals the result of a
+//! single process.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,19 +8,19 @@ use std::sync::OnceLock;
 use serde_json::Value;
 use sightline_tests::{Sandbox, assert_same, wait_for};
 
-/// The scene of all jobs here: 69 tiles of some ten milliseconds each, so that a test can act in the middle
-/// of a job.
+/// The scene of all jobs in this file. A job has 69 tiles of about ten milliseconds each, so that a test can
+/// act in the middle of the job.
 const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const JOB: &str = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
 
-/// A folder with the scene in it.
+/// Returns a folder with the scene.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     sandbox
 }
 
-/// The result of [`JOB`] in one process.
+/// Returns the result of [`JOB`] in one process.
 fn alone() -> &'static [u8] {
     static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
     ALONE.get_or_init(|| {
@@ -36,7 +36,7 @@ fn number(job: &Value, key: &str) -> u64 {
         .unwrap_or_else(|| panic!("no number '{key}' in {job}"))
 }
 
-/// Whether a job has both done tiles and leased tiles.
+/// Returns true if a job has both done tiles and leased tiles.
 fn in_the_middle(job: &Value) -> bool {
     let (done, total) = (number(job, "tiles_done"), number(job, "tiles_total"));
     assert!(
@@ -47,7 +47,7 @@ fn in_the_middle(job: &Value) -> bool {
 }
 
 #[test]
-fn any_number_of_workers_gives_the_bytes_of_one_process() {
+fn any_number_of_workers_gives_bytes_of_one_process() {
     for workers in [1, 3] {
         let sandbox = sandbox();
         let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -67,12 +67,12 @@ fn any_number_of_workers_gives_the_bytes_of_one_process() {
 }
 
 #[test]
-fn a_killed_worker_changes_no_byte() {
+fn killed_worker_does_not_affect_bytes() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let victim = coordinator.worker();
-    // The victim is the only worker, so the running tiles are its tiles.
+    // The killed worker is the only one, so the running tiles are its tiles.
     let before = coordinator.until(job, "the job's middle", in_the_middle);
     victim.kill();
     let after = coordinator.json(&format!("show {job}"));
@@ -84,16 +84,16 @@ fn a_killed_worker_changes_no_byte() {
         alone(),
         "after a worker was killed",
     );
-    // The tiles are taken back at once, not when the leases expire.
+    // The tiles are revoked immediately, not when the leases expire.
     let log = coordinator.process.err();
     assert!(
-        log.contains("is taken back: its worker has gone and did not come back"),
+        log.contains("is taken back: the worker disconnected and did not return"),
         "{log}"
     );
 }
 
-/// Slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, coordinates of 1e-6 beside
-/// 1e3.
+/// Returns a scene of slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, and
+/// coordinates of 1e-6 next to 1e3.
 fn ugly() -> String {
     let mut obj = String::new();
     let mut corners = 0;
@@ -105,7 +105,7 @@ fn ugly() -> String {
         corners += 3;
     };
     for i in 0..400 {
-        // Spread without a pattern, the same every time.
+        // The points are spread without a pattern, and are the same in every run.
         let at = |k: u32| f64::from((i * 7919 + k * 104_729) % 1000) / 10.0;
         let [x, y, z] = [at(1), at(2), at(3)];
         let wall = [
@@ -126,9 +126,9 @@ fn ugly() -> String {
     obj
 }
 
-/// The default sampler, whose tiles are blocks of cells, on a scene full of degenerate geometry.
+/// Tests the default sampler, whose tiles are blocks of cells, on a scene full of degenerate geometry.
 #[test]
-fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
+fn killed_worker_does_not_affect_bytes_of_ugly_scene() {
     const LINES: &str =
         "ugly.obj --cells 8x8x8 --view-box 0,0,0,100,100,100 --block-cells 8 --backend cpu";
     let sandbox = Sandbox::new();
@@ -155,7 +155,7 @@ fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
 }
 
 #[test]
-fn a_killed_coordinator_goes_on_where_it_was() {
+fn killed_coordinator_continues_job() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let address = coordinator.address();
@@ -171,7 +171,7 @@ fn a_killed_coordinator_goes_on_where_it_was() {
 
     let coordinator = sandbox.coordinator("data", &address);
     let after = coordinator.json(&format!("show {job}"));
-    // Tiles shown as done had been acknowledged.
+    // Tiles that were reported as done were acknowledged.
     assert!(
         number(&after, "tiles_done") >= number(&before, "tiles_done"),
         "{before} then {after}"
@@ -190,7 +190,7 @@ fn a_killed_coordinator_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
+fn stopping_worker_finishes_its_tile_and_returns_next() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
@@ -203,7 +203,8 @@ fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
         number(&after, "tiles_done") >= number(&before, "tiles_done"),
         "{before} then {after}"
     );
-    // It was the only worker, so no tile is leased, and the job waits for no lease to expire.
+    // The coordinator's only worker has ended, so no tile is leased, and the job does not wait for a lease to
+    // expire.
     assert_eq!(number(&after, "tiles_running"), 0, "{after}");
     assert!(
         number(&after, "tiles_done") < number(&after, "tiles_total"),
@@ -214,11 +215,11 @@ fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
 }
 
 #[test]
-fn a_worker_that_comes_late_takes_what_waits_in_anothers_hands() {
+fn late_worker_receives_waiting_tile_of_other_worker() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 19000 -o rooms.glb");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    // Two tiles of some seconds each.
+    // Two tiles of several seconds each.
     let job =
         coordinator.submit("rooms.glb --method exact --cells 4x4x4 --block-cells 32 --backend cpu");
     let _first = coordinator.worker();
@@ -234,7 +235,7 @@ fn a_worker_that_comes_late_takes_what_waits_in_anothers_hands() {
 }
 
 #[test]
-fn submitting_again_gives_the_job_there_is() {
+fn repeated_submission_returns_existing_job() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let first = coordinator.submit(&format!("{JOB} --request-id one --name first"));
@@ -242,7 +243,7 @@ fn submitting_again_gives_the_job_there_is() {
         coordinator.submit(&format!("{JOB} --request-id one --name first")),
         first
     );
-    // Another request for the same job, under another name.
+    // Another request for the same job, with another name.
     let again = coordinator
         .run(&format!("submit {JOB} --request-id two --name second"))
         .code(0);
@@ -286,7 +287,7 @@ fn submitting_again_gives_the_job_there_is() {
     );
     coordinator.run("show 99").code(4).says("99");
 
-    // A cancelled job is no answer to a new request.
+    // A new request does not return a cancelled job.
     coordinator.ok(&format!("cancel {first}"));
     assert_ne!(
         coordinator.submit(&format!("{JOB} --request-id three")),
@@ -300,7 +301,7 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let state = |line: &str| coordinator.json(&format!("{line} {job}"))["state"].clone();
-    // A command that changes nothing is no error.
+    // A command without effect is not an error.
     for (turn, then) in [
         ("pause", "paused"),
         ("resume", "queued"),
@@ -361,7 +362,7 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
 }
 
 #[test]
-fn a_finished_job_outlives_its_coordinator() {
+fn finished_job_survives_coordinator() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
@@ -373,7 +374,7 @@ fn a_finished_job_outlives_its_coordinator() {
     coordinator.process.signal("TERM");
     coordinator.process.end().code(0);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    // Everything except the number of workers.
+    // All fields are equal except the number of workers.
     let mut after = coordinator.json(&format!("show {job}"));
     after["workers"] = before["workers"].clone();
     assert_eq!(after, before);
@@ -382,12 +383,12 @@ fn a_finished_job_outlives_its_coordinator() {
         alone(),
         "fetched from the next coordinator",
     );
-    // The same submission is answered with the stored job.
+    // The same submission returns the stored job.
     assert_eq!(coordinator.submit(JOB), job);
 }
 
 #[test]
-fn plain_text_stays_on_this_machine_unless_said_otherwise() {
+fn plain_text_needs_loopback_or_permission() {
     let sandbox = Sandbox::new();
     for address in ["0.0.0.0:0", "[::]:0"] {
         let refused = sandbox.run(&format!("coordinator --data-dir data --listen {address}"));
@@ -403,7 +404,7 @@ fn plain_text_stays_on_this_machine_unless_said_otherwise() {
 }
 
 #[test]
-fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
+fn absent_coordinator_is_reported() {
     let sandbox = sandbox();
     // The port was bound and closed again, so no coordinator listens on it.
     let free = std::net::TcpListener::bind("127.0.0.1:0")
@@ -436,7 +437,7 @@ fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
 }
 
 #[test]
-fn a_data_folder_has_one_coordinator() {
+fn data_folder_has_one_coordinator() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let second = sandbox
@@ -449,7 +450,7 @@ fn a_data_folder_has_one_coordinator() {
         .code(3)
         .says("--data-dir");
     assert_eq!(coordinator.ok("health").trim(), "serving");
-    // The port is taken, too.
+    // The port is in use, too.
     let taken = sandbox.run(&format!(
         "coordinator --listen {} --data-dir other",
         coordinator.address()
@@ -458,7 +459,7 @@ fn a_data_folder_has_one_coordinator() {
 }
 
 #[test]
-fn a_damaged_scene_is_uploaded_again() {
+fn damaged_scene_is_uploaded_again() {
     scene_is_uploaded_again("is damaged", |blob| {
         let mut bytes = std::fs::read(blob).unwrap();
         bytes[100] ^= 1;
@@ -467,15 +468,15 @@ fn a_damaged_scene_is_uploaded_again() {
 }
 
 #[test]
-fn a_scene_that_the_disk_does_not_give_is_uploaded_again() {
+fn unreadable_scene_is_uploaded_again() {
     scene_is_uploaded_again("cannot be read", |blob| {
         std::fs::remove_file(blob).unwrap();
-        // A process has no page 0: reading this file is EIO, as of a broken sector.
+        // A process has no page 0, so reading this file fails with EIO, like a bad sector.
         std::os::unix::fs::symlink("/proc/self/mem", blob).unwrap();
     });
 }
 
-/// Loses a job's scene, sends it again, and compares the result.
+/// Loses a job's scene, uploads it again, and compares the result.
 fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -486,11 +487,14 @@ fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
         .to_owned();
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
     lose(&sandbox.path(&blob));
-    // The job waits, and says for what.
+    // The job waits, and reports the missing blob.
     let _worker = coordinator.worker();
     let paused = coordinator.until(first, "a pause", |job| job["state"] == "paused");
     assert!(
-        paused["reason"].as_str().unwrap().contains("send it again"),
+        paused["reason"]
+            .as_str()
+            .unwrap()
+            .contains("send the scene again"),
         "{paused}"
     );
     assert!(
@@ -498,7 +502,7 @@ fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
             .ok(&format!("logs {first}"))
             .contains("send the scene again")
     );
-    // The next submission of the scene replaces the blob, and the waiting job continues.
+    // The next submission uploads the scene again, and the waiting job continues.
     assert_eq!(coordinator.submit(JOB), first);
     assert_same(
         &coordinator.finish(first),
@@ -513,7 +517,7 @@ fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
     );
 }
 
-/// Removes all packs from a coordinator's blobs; returns their number.
+/// Removes all packs from a coordinator's blobs. Returns their number.
 fn lose_packs(folder: &std::path::Path) -> usize {
     let mut lost = 0;
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -1,16 +1,18 @@
-//! The image and the compose file, tested in a real engine: a cluster in containers, used over gRPC from
-//! outside, gives the same bytes as one process, although it is scaled and loses workers meanwhile, whether
-//! the job has many tiles or one.
+//! Tests of the image and the compose file in a real engine.
 //!
-//! Needs a container engine that can run Debian and a way to make the base image (`deploy/base-image.sh`).
-//! Without them it says so in one line and passes; where `CI` is set it fails instead. The test checks the
-//! cluster's result, never its speed.
+//! A cluster in containers, used over gRPC from outside, gives the same bytes as one process, while it is
+//! scaled and loses workers. The job has many tiles, or one.
 //!
-//! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder),
-//! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` size the job of many tiles, which has to last long
-//! enough for the faults to come in its middle; the job of one tile sizes itself.
+//! The tests need a container engine that can run Debian, and a way to make the base image
+//! (`deploy/base-image.sh`). Without them, a test prints this in one line and passes. If `CI` is set, it
+//! fails instead. The tests check the cluster's result, never its speed.
+//!
+//! Environment: `SIGHTLINE_BIN` names the program (default: the program in the target folder).
+//! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` set the size of the job of many tiles, which has to
+//! last long enough for the faults to occur in its middle. The job of one tile selects its own size.
 
-// clippy.toml's permissions for tests reach `#[test]` functions only, not the helpers of an integration test.
+// The permissions for tests in clippy.toml cover only `#[test]` functions, not the helpers of an integration
+// test.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 use std::fs;
@@ -22,20 +24,21 @@ use std::time::{Duration, Instant};
 
 use sightline_tests::{Compose, docker, in_ci, logged, program, run};
 
-/// Town size and cells at which two single-threaded workers are busy for well over twenty seconds.
+/// The default size of the town and of the grid. With them, two single-threaded workers are busy for much
+/// more than twenty seconds.
 const DEFAULT_TRIANGLES: &str = "20000";
 const DEFAULT_CELLS: &str = "8x8x4";
-/// Seconds that one process needs for a town's block, so that the block lasts through all faults.
+/// The time in seconds that one process needs for a town's block, so that the block lasts through all faults.
 const LASTING: f64 = 8.0;
-/// Target errors for such a block, on slow machines and on fast ones.
+/// Target errors for such a block, on slow and on fast machines.
 const ERRORS: [&str; 5] = ["0.00002", "0.00001", "0.000005", "0.000002", "0.000001"];
 const SIZE_IT_UP: &str = "size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS";
-/// What is waited for longer than this does not come.
+/// Maximum duration of a wait.
 const LIMIT: Duration = Duration::from_secs(300);
-/// Two clusters at once would take each other's cores.
+/// The lock of the cluster, because two simultaneous clusters would compete for the cores.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// A cluster, when this machine can have one; the other test has to wait.
+/// Returns a cluster, if this machine can run one. The other test waits.
 fn cluster() -> Option<(MutexGuard<'static, ()>, Compose)> {
     let turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     match Compose::prepare() {
@@ -49,7 +52,7 @@ fn cluster() -> Option<(MutexGuard<'static, ()>, Compose)> {
 }
 
 #[test]
-fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
+fn containers_give_same_bytes_after_killed_worker() {
     let Some((_turn, compose)) = cluster() else {
         return;
     };
@@ -119,7 +122,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let progress = || Progress::parse(&client(&["show", &job, "--json"]));
     let before = loop {
         let now = progress();
-        // In the middle of the job: tiles are committed, and all three workers have tiles.
+        // The middle of the job: tiles are committed, and all three workers have tiles.
         if now.done > 0 && now.workers == 3 && now.running >= 3 {
             break now;
         }
@@ -159,7 +162,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     assert_same_bytes(&alone, &together);
 }
 
-/// A step of the test that waits for something in a cluster.
+/// Waits until `look` returns a value, as a step of a test.
 fn wait_until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let began = Instant::now();
     loop {
@@ -173,7 +176,7 @@ fn wait_until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
 }
 
 #[test]
-fn containers_share_one_block_through_every_fault() {
+fn containers_share_one_block_through_all_faults() {
     let Some((_turn, compose)) = cluster() else {
         return;
     };
@@ -235,7 +238,7 @@ fn containers_share_one_block_through_every_fault() {
     let has_said = |worker: &String, what: &str| logged(worker).contains(what);
     let helps = |worker: &String| has_said(worker, "helps with tile 0");
 
-    // The second worker helps the first one; then there are four.
+    // First the second worker helps the first one, then the cluster has four workers.
     let first = compose.workers();
     let helper = wait_until("the second worker helps", || {
         first.iter().find(|w| helps(w)).cloned()
@@ -252,7 +255,7 @@ fn containers_share_one_block_through_every_fault() {
     });
     still_runs("four workers were at it");
 
-    // The leader stands still for longer than its lease lives; another worker goes on.
+    // The leader pauses for longer than its lease lasts, and another worker continues.
     docker(&["pause", &leader]);
     let others: Vec<String> = compose
         .workers()
@@ -262,13 +265,13 @@ fn containers_share_one_block_through_every_fault() {
     let next = wait_until("another worker leads", || {
         others
             .iter()
-            .find(|w| has_said(w, "goes on after"))
+            .find(|w| has_said(w, "continues after"))
             .cloned()
     });
     docker(&["unpause", &leader]);
     still_runs("its second leader began");
 
-    // A helper dies, another one is cut off, and the coordinator starts anew.
+    // A helper dies, another one is cut off, and the coordinator restarts.
     let helpers: Vec<&String> = others.iter().filter(|w| **w != next).collect();
     docker(&["kill", "--signal", "KILL", helpers[0]]);
     docker(&["network", "disconnect", &compose.network(), helpers[1]]);
@@ -292,7 +295,7 @@ fn containers_share_one_block_through_every_fault() {
     assert_same_bytes(&alone, &together);
 }
 
-/// Whether the coordinator at this address is up, which may just be starting.
+/// Returns true if the coordinator at this address answers. It may be starting.
 fn coordinator_answers(url: &str) -> bool {
     let health = Command::new(program())
         .args(["health", "--coordinator", url])
@@ -301,7 +304,7 @@ fn coordinator_answers(url: &str) -> bool {
     health.status.success()
 }
 
-/// Panics unless both results have the same bytes, and the same profile.
+/// Panics unless both results have the same bytes and the same profile.
 fn assert_same_bytes(alone: &Path, together: &Path) {
     let profiles = [alone, together].map(profile);
     eprintln!(
@@ -310,14 +313,14 @@ fn assert_same_bytes(alone: &Path, together: &Path) {
     );
     assert_eq!(
         profiles[0], profiles[1],
-        "host and image hold different versions of Embree; make the image of the host's release"
+        "the host and the image have different backends"
     );
     let (alone, together) = (fs::read(alone).unwrap(), fs::read(together).unwrap());
     sightline_tests::assert_same(&alone, &together, "the cluster's result differs");
     eprintln!("{} bytes, the same", alone.len());
 }
 
-/// Tiles of a job, and the coordinator's workers, as `sightline show --json` counts them.
+/// The numbers of a job's tiles and of the coordinator's workers in `sightline show --json`.
 #[derive(Debug)]
 struct Progress {
     done: u64,
@@ -346,7 +349,7 @@ impl Progress {
     }
 }
 
-/// Numerics profile a result was computed on, as `sightline info` names it.
+/// Returns the numerics profile of a result from `sightline info`.
 fn profile(result: &Path) -> String {
     let info = run(Command::new(program())
         .arg("info")

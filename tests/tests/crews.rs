@@ -1,4 +1,5 @@
-//! A block that several workers share: the bytes of one process, whoever comes, goes, stops or dies.
+//! Tests of a block that several workers share: the result equals the bytes of one process, regardless of
+//! workers that come, go, stop or die.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -6,7 +7,7 @@ use std::sync::OnceLock;
 
 use sightline_tests::{Background, Coordinator, Sandbox, assert_same, wait_for};
 
-/// One tile of some seconds, with the default flags but a coarser target.
+/// The scene of a job with one tile of several seconds, with default flags except for a coarser target.
 const SCENE: &str = "generate town --triangles 60000 -o town.glb";
 const JOB: &str = "town.glb --backend cpu --target-error 3e-4";
 
@@ -17,7 +18,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// The result of [`JOB`] in one process.
+/// Returns the result of [`JOB`] in one process.
 fn alone() -> &'static [u8] {
     static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
     ALONE.get_or_init(|| {
@@ -27,7 +28,7 @@ fn alone() -> &'static [u8] {
     })
 }
 
-/// Whether the outcome of a phase is on the disk as a whole: its length, a hash and the bytes.
+/// Returns true if the complete outcome of a phase is on the disk: its length, a hash and the bytes.
 fn has_outcome(sandbox: &Sandbox) -> bool {
     let Ok(files) = std::fs::read_dir(sandbox.path("data/crews")) else {
         return false;
@@ -43,7 +44,7 @@ fn has_outcome(sandbox: &Sandbox) -> bool {
         .any(|file| std::fs::read(file.path()).is_ok_and(is_whole))
 }
 
-/// A job with one worker, which leads its only tile and has left outcomes.
+/// Starts a job with one worker, which leads its only tile and has stored outcomes.
 fn led<'a>(sandbox: &'a Sandbox, coordinator: &Coordinator<'a>) -> (u64, Background) {
     let job = coordinator.submit(JOB);
     let leader = coordinator.worker();
@@ -58,13 +59,13 @@ fn helps(worker: &Background) {
     });
 }
 
-/// Whether a worker has gone on where another one was lost.
+/// Returns true if a worker has continued the work of a lost worker.
 fn has_gone_on(worker: &Background) -> bool {
     worker.err().contains("phases of an earlier worker")
 }
 
 #[test]
-fn workers_that_come_late_share_the_block() {
+fn late_workers_share_block() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let (job, leader) = led(&sandbox, &coordinator);
@@ -94,7 +95,7 @@ fn workers_that_come_late_share_the_block() {
 }
 
 #[test]
-fn a_killed_leaders_block_goes_on_where_it_was() {
+fn block_of_killed_leader_continues() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let (job, leader) = led(&sandbox, &coordinator);
@@ -114,7 +115,7 @@ fn a_killed_leaders_block_goes_on_where_it_was() {
 }
 
 #[test]
-fn helpers_that_die_or_stop_delay_nothing() {
+fn helpers_that_die_or_stop_do_not_delay() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let (job, _leader) = led(&sandbox, &coordinator);
@@ -128,7 +129,7 @@ fn helpers_that_die_or_stop_delay_nothing() {
 }
 
 #[test]
-fn a_coordinator_that_is_killed_loses_no_phase() {
+fn killed_coordinator_loses_no_phase() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let address = coordinator.address();
@@ -142,7 +143,7 @@ fn a_coordinator_that_is_killed_loses_no_phase() {
 }
 
 #[test]
-fn an_interrupted_bake_goes_on_where_it_was() {
+fn interrupted_bake_continues_block() {
     let sandbox = sandbox();
     let line = format!("bake {JOB} -o whole.pvs --data-dir data");
     let interrupted = sandbox.start(&line);
@@ -158,7 +159,7 @@ fn an_interrupted_bake_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_leader_has_a_crew_again_when_its_coordinator_is_back() {
+fn leader_has_crew_again_after_coordinator_restart() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let address = coordinator.address();

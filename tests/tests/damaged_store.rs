@@ -1,7 +1,9 @@
-//! A damaged journal in the real program: the coordinator does not start, `store verify` changes no byte, and
-//! `store verify --repair` continues behind all numbers that were given out.
+//! Tests of a damaged journal in the real program.
+//!
+//! The coordinator does not start, `store verify` does not change a byte, and `store verify --repair`
+//! continues after all numbers that were issued.
 
-// The lint's exception for tests does not cover helper functions of a test.
+// The lint's exception for tests does not cover the helper functions of a test.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -9,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use sightline_tests::Sandbox;
 
-/// Reads all files below a folder.
+/// Returns the contents of all files below a folder.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap().flatten() {
@@ -64,8 +66,8 @@ fn damaged_journal_is_reported_and_repaired() {
     assert_eq!(sandbox.read("data/state/damaged/journal-1"), bytes);
     sandbox.ok("store verify --data-dir data");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    // The killed coordinator may have left a view without the damaged frame; then its job is named. No number
-    // is given out again.
+    // The killed coordinator may have left a view without the damaged frame, and the repair then names its
+    // job. No number is issued again.
     let is_named = repaired.contains("job 3 and the latest changes of other jobs are lost");
     let jobs = coordinator.json("jobs").as_array().unwrap().len();
     assert_eq!(jobs, if is_named { 2 } else { 3 }, "{repaired}");

@@ -1,4 +1,4 @@
-//! The dashboard in a browser, and the calls as JSON.
+//! Tests of the dashboard in a browser, and of the calls as JSON.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -15,7 +15,7 @@ fn sandbox() -> Sandbox {
 
 const JSON: &str = "Content-Type: application/json\r\n";
 
-/// A call; gives the status and the answer.
+/// Calls a method. Returns the status and the answer.
 fn call(pages: &str, method: &str, request: &Value) -> (u32, Value) {
     let (status, body) = ask(
         pages,
@@ -27,7 +27,7 @@ fn call(pages: &str, method: &str, request: &Value) -> (u32, Value) {
 }
 
 #[test]
-fn calls_are_json_and_foreign_pages_may_not_call() {
+fn calls_are_json_and_foreign_pages_cannot_call() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator_with_pages("data");
     let pages = &coordinator.pages;
@@ -52,7 +52,7 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
         (tiles["total"].as_u64(), &tiles["tiles"][0]["state"]),
         (Some(1), &"TILE_STATE_WAITING".into())
     );
-    // What is wrong is said in the codes of the Connect protocol.
+    // Errors have the codes of the Connect protocol.
     let code = |method: &str, request: &Value| {
         let (status, answer) = call(pages, method, request);
         (
@@ -83,13 +83,13 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
     let text = |answer: &(u32, Vec<u8>)| String::from_utf8(answer.1.clone()).unwrap();
     let early = ask(pages, &format!("GET /view/{job}"), "", "");
     assert!(
-        early.0 == 400 && text(&early).starts_with("none of the tiles"),
+        early.0 == 400 && text(&early).contains("no finished tile"),
         "{}",
         text(&early)
     );
     assert_eq!(ask(pages, "GET /results/x", "", "").0, 404);
     assert_eq!(ask(pages, "GET /nothing", "", "").0, 404);
-    // A page of another site: with a form, with a script, and with a name of its own for this address.
+    // Requests of a page of another site: with a form, with a script, and with its own name for this address.
     let list = "POST /sightline.v1.Jobs/List";
     assert_eq!(
         ask(pages, list, "Content-Type: text/plain\r\n", "{}").0,
@@ -131,7 +131,7 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
         .0,
         413
     );
-    // The result as a file.
+    // Download the result as a file.
     call(pages, "Jobs/Resume", &of_job);
     let _worker = coordinator.worker();
     let result = coordinator.finish(job);
@@ -141,7 +141,7 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
 }
 
 #[test]
-fn plain_text_beyond_this_machine_has_to_be_allowed() {
+fn plain_text_beyond_loopback_needs_permission() {
     let sandbox = Sandbox::new();
     let run = sandbox
         .run("coordinator --listen 127.0.0.1:0 --http 0.0.0.0:0 --data-dir data")
@@ -154,7 +154,7 @@ fn plain_text_beyond_this_machine_has_to_be_allowed() {
 }
 
 #[test]
-fn a_browser_follows_a_job_and_changes_it() {
+fn browser_follows_and_changes_job() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator_with_pages("data");
     let Some(browser) = Browser::start([1200, 1500]) else {
@@ -188,7 +188,7 @@ fn a_browser_follows_a_job_and_changes_it() {
     });
     coordinator.until(job, "a rest", |job| job["tiles_running"] == 0);
     press("Resume");
-    // The canvas has the colours of the legend, and a click says who computed a tile.
+    // The canvas has the colours of the legend, and a click shows the worker that computed a tile.
     wait_for("the end", || {
         text("#job-state").starts_with("done").then_some(())
     });
@@ -218,7 +218,7 @@ fn a_browser_follows_a_job_and_changes_it() {
         "{}",
         text("#events")
     );
-    // The workers, as they come and go.
+    // The list shows workers as they come and go.
     browser.run("location.hash = 'workers'; return 0");
     wait_for("the worker", || {
         text("#worker-rows").contains("ann").then_some(())
@@ -227,14 +227,14 @@ fn a_browser_follows_a_job_and_changes_it() {
     wait_for("its end", || {
         (!text("#worker-rows").contains("ann")).then_some(())
     });
-    // The result in the viewer.
+    // Open the result in the viewer.
     browser.open(&format!("{}view/{job}", coordinator.pages));
     let drawn = browser
         .run("return (await sightline).drawn")
         .as_u64()
         .unwrap();
     assert!(drawn > 0);
-    // Deleted, after a question.
+    // Delete the job, after a confirmation.
     browser.open(&format!("{}#job={job}", coordinator.pages));
     wait_for("the buttons", || {
         text("#job-buttons").contains("Delete").then_some(())
@@ -247,16 +247,16 @@ fn a_browser_follows_a_job_and_changes_it() {
     });
     coordinator.run(&format!("show {job}")).code(4);
     assert_eq!(browser.messages(), Vec::<String>::new());
-    // Without its coordinator the page says so.
+    // Without its coordinator, the page reports the lost connection.
     coordinator.process.kill();
     wait_for("the word about it", || {
         text("#message").contains("does not answer").then_some(())
     });
 }
 
-/// As many tiles as a job can have, and a thousand workers, which say hello and want nothing.
+/// Tests the maximum number of tiles of a job, and a thousand workers that join and request no tiles.
 #[test]
-fn a_large_farm_is_shown() {
+fn large_farm_is_shown() {
     use sightline_proto::v1;
     use sightline_proto::v1::workers_client::WorkersClient;
 

@@ -1,11 +1,12 @@
-//! `sightline diff`: what came into sets and what went, told from the noise of sampling.
+//! Tests of `sightline diff`: it separates changes of sets from the noise of sampling.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use serde_json::json;
 use sightline_tests::{Sandbox, across, house};
 
-/// Two rooms with a wall at x = 2 that leaves z from 0 to `door` open, and something in the second.
+/// Returns two rooms with a wall at x = 2 that leaves z from 0 to `door` open, and an object in the second
+/// room.
 fn rooms(door: f32, thing: &str) -> String {
     let board = [
         [3.0, 0.5, 0.5],
@@ -22,7 +23,7 @@ fn rooms(door: f32, thing: &str) -> String {
 const CELLS: &str = "--backend cpu --view-box 0.25,0.25,0.25,3.65,1.75,1.75 --cells 2x1x1";
 
 #[test]
-fn what_came_and_went_is_counted_and_can_fail() {
+fn changes_are_counted_and_can_fail() {
     let sandbox = Sandbox::new();
     for (name, door) in [("shut", 0.0), ("open", 1.0)] {
         sandbox.write(&format!("{name}.obj"), rooms(door, "shelf"));
@@ -36,7 +37,7 @@ fn what_came_and_went_is_counted_and_can_fail() {
         (&json!(0), &json!(0.0))
     );
     let changed = sandbox.json("diff shut.pvs open.pvs");
-    // The shelf and the wall's far end come into the first room's set.
+    // The shelf and the far end of the wall are now in the set of the first room.
     assert_eq!(
         (&changed["cells"], &changed["changed_cells"]),
         (&json!(2), &json!(1))
@@ -70,14 +71,14 @@ fn what_came_and_went_is_counted_and_can_fail() {
     );
     let markdown = sandbox.ok("diff shut.pvs open.pvs --markdown");
     assert!(markdown.contains("| shelf | 1 | 0 |"), "{markdown}");
-    // As a page with heat maps of what came and went.
+    // The difference as a page with heat maps.
     sandbox.ok("diff shut.pvs open.pvs -o diff.html --scene open.obj");
     let page = String::from_utf8(sandbox.read("diff.html")).unwrap();
-    assert!(page.contains("came into the set") && page.contains("1 of 2 cells changed"));
+    assert!(page.contains("items gained") && page.contains("1 of 2 cells changed"));
     sandbox
         .run("diff shut.pvs open.pvs -o other.html --scene shut.obj")
         .code(3);
-    // By name, when the triangles are others.
+    // Objects are compared by name if the triangles differ.
     sandbox.write("other.obj", rooms(1.0, "board"));
     sandbox.ok(&format!(
         "bake other.obj -o other.pvs --method exact {CELLS}"
@@ -95,11 +96,11 @@ fn what_came_and_went_is_counted_and_can_fail() {
     sandbox
         .run("diff open.pvs fine.pvs")
         .code(3)
-        .says("other cells");
+        .says("different cells");
 }
 
 #[test]
-fn the_noise_of_sampling_is_told_from_a_change() {
+fn sampling_noise_is_distinguished_from_change() {
     let sandbox = Sandbox::new();
     let sampled = "--max-error 0.002 --contributions --cells 3x1x2 --backend cpu";
     sandbox.ok("generate rooms --grid 3x2 --triangles 3000 -o rooms.glb");
@@ -114,7 +115,7 @@ fn the_noise_of_sampling_is_told_from_a_change() {
         "two seeds differ: {noise}"
     );
     assert_eq!(noise["cells_beyond_noise"], 0, "{noise}");
-    // Furniture that shows everything behind it.
+    // Through see-through walls, everything behind them is visible.
     sandbox.ok(&format!(
         "bake rooms.glb -o glass.pvs --see-through *wall* --seed 1 {sampled}"
     ));
@@ -125,5 +126,8 @@ fn the_noise_of_sampling_is_told_from_a_change() {
     );
     sandbox.ok("bake rooms.glb -o plain.pvs --cells 3x1x2 --backend cpu");
     let words = sandbox.ok("diff plain.pvs seed-1.pvs");
-    assert!(words.contains("sampling alone may explain it"), "{words}");
+    assert!(
+        words.contains("sampling alone may explain the differences"),
+        "{words}"
+    );
 }

@@ -1,5 +1,5 @@
-//! Workers that read and write a bucket by themselves, at addresses that the coordinator signs: the same
-//! bytes, past the coordinator; and through it wherever an address does not do.
+//! Tests of workers that read and write a bucket directly, at addresses that the coordinator signs. The bytes
+//! are the same. If an address does not work, the worker uses the coordinator.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,26 +24,26 @@ const LARGE: [&str; 2] = [
     "town.glb --cells 8x8x2 --block-cells 64 --sampler guided --contributions --cell-to-cell off \
      --backend cpu",
 ];
-/// A scene of two megabytes, and a job of a second.
+/// A scene of two megabytes, and a job that takes a second.
 const SMALL: [&str; 2] = [
     "generate town --triangles 60000 -o town.glb",
     "town.glb --cells 4x4x2 --block-cells 16 --target-error 0.2 --cell-to-cell off --backend cpu",
 ];
 
-/// A folder with a scene and the result of a job in one process, and an object store that runs.
+/// Returns a folder with a scene and the result of a job in one process, and a running object store.
 fn sandbox([scene, job]: [&str; 2]) -> (Sandbox, S3Server) {
     let mut sandbox = Sandbox::new();
     sandbox.set("AWS_ACCESS_KEY_ID", KEY);
     sandbox.set("AWS_SECRET_ACCESS_KEY", SECRET);
     sandbox.ok(scene);
     sandbox.ok(&format!("bake {job} -o alone.pvs --data-dir alone"));
-    // Whatever is logged at all.
+    // Log at every level, so that the test can search all logs for secrets.
     sandbox.set("SIGHTLINE_LOG", "trace");
     let server = S3Server::start(&sandbox.path("s3"), "farm");
     (sandbox, server)
 }
 
-/// A coordinator on the bucket. `more` is further options of it.
+/// Starts a coordinator on the bucket. `more` contains further options of the bucket's address.
 fn coordinator<'a>(
     sandbox: &'a Sandbox,
     server: &S3Server,
@@ -63,7 +63,7 @@ fn worker(coordinator: &Coordinator<'_>, more: &str) -> Background {
     ))
 }
 
-/// The sum of the samples whose line begins with this.
+/// Returns the sum of the samples whose lines start with `begin`.
 fn sum(text: &str, begin: &str) -> u64 {
     let lines = text.lines().filter(|line| line.starts_with(begin));
     lines
@@ -78,13 +78,13 @@ fn text_at(url: &str) -> String {
     String::from_utf8(body).unwrap()
 }
 
-/// A metric of a coordinator.
-fn of(coordinator: &Coordinator<'_>, begin: &str) -> u64 {
+/// Returns a metric of a coordinator.
+fn coordinator_metric(coordinator: &Coordinator<'_>, begin: &str) -> u64 {
     sum(&text_at(&coordinator.metrics), begin)
 }
 
-/// A metric of workers.
-fn of_workers(workers: &[Background], begin: &str) -> u64 {
+/// Returns the sum of a metric of workers.
+fn worker_metric(workers: &[Background], begin: &str) -> u64 {
     let metric_of = |worker: &Background| {
         let out = worker.out();
         let url = out
@@ -96,7 +96,8 @@ fn of_workers(workers: &[Background], begin: &str) -> u64 {
     workers.iter().map(metric_of).sum()
 }
 
-/// Follows the job to its end; then its bytes are those of one process, and no log has a secret.
+/// Follows the job to its end. Checks that its bytes equal the bytes of one process, and that no log contains
+/// a secret.
 fn finished(coordinator: &Coordinator<'_>, sandbox: &Sandbox, job: u64, workers: &[Background]) {
     assert_same(
         &coordinator.finish(job),
@@ -119,13 +120,13 @@ fn finished(coordinator: &Coordinator<'_>, sandbox: &Sandbox, job: u64, workers:
     }
 }
 
-/// The bytes of a file.
+/// Returns the size of a file in bytes.
 fn size(path: &Path) -> u64 {
     std::fs::metadata(path).unwrap().len()
 }
 
 #[test]
-fn workers_read_and_write_past_the_coordinator() {
+fn workers_read_and_write_bucket_directly() {
     let (sandbox, server) = sandbox(LARGE);
     let mut through = Vec::new();
     for (data, more) in [("through", ""), ("past", "&direct=yes")] {
@@ -139,20 +140,20 @@ fn workers_read_and_write_past_the_coordinator() {
         assert!(scene > 7_000_000, "{scene}");
         let carried = || {
             let grpc = ["in", "out"].map(|way| {
-                of(
+                coordinator_metric(
                     &coordinator,
                     &format!("sightline_transferred_bytes_total{{direction=\"{way}\""),
                 )
             });
             let store = ["in", "out"].map(|way| {
-                of(
+                coordinator_metric(
                     &coordinator,
                     &format!("sightline_object_store_bytes_total{{direction=\"{way}\""),
                 )
             });
             [grpc[0], grpc[1], store[0], store[1]]
         };
-        // Each worker gets a tile.
+        // Each worker receives a tile.
         coordinator.ok(&format!("pause {job}"));
         let workers = [worker(&coordinator, ""), worker(&coordinator, "")];
         wait_for("both workers", || {
@@ -174,8 +175,8 @@ fn workers_read_and_write_past_the_coordinator() {
         let direct = |direction: &str, way: &str| {
             let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
             [
-                of_workers(&workers, &format!("sightline_worker_blobs_total{labels}")),
-                of_workers(
+                worker_metric(&workers, &format!("sightline_worker_blobs_total{labels}")),
+                worker_metric(
                     &workers,
                     &format!("sightline_worker_blob_bytes_total{labels}"),
                 ),
@@ -187,7 +188,7 @@ fn workers_read_and_write_past_the_coordinator() {
                 ([0; 2], [0; 2])
             );
             assert_eq!(direct("in", "coordinator"), [2, 2 * scene]);
-            assert_eq!(of(&coordinator, "sightline_direct_"), 0);
+            assert_eq!(coordinator_metric(&coordinator, "sightline_direct_"), 0);
         } else {
             assert_eq!(direct("in", "direct"), [2, 2 * scene]);
             let [outputs, bytes] = direct("out", "direct");
@@ -196,28 +197,28 @@ fn workers_read_and_write_past_the_coordinator() {
                 "{outputs} outputs of {bytes} bytes"
             );
             assert_eq!(
-                of(
+                coordinator_metric(
                     &coordinator,
                     "sightline_direct_addresses_total{operation=\"read\""
                 ),
                 2
             );
             assert_eq!(
-                of(
+                coordinator_metric(
                     &coordinator,
                     "sightline_direct_bytes_total{operation=\"read\""
                 ),
                 2 * scene
             );
             assert_eq!(
-                of(
+                coordinator_metric(
                     &coordinator,
                     "sightline_direct_addresses_total{operation=\"write\""
                 ),
                 outputs
             );
             assert_eq!(
-                of(
+                coordinator_metric(
                     &coordinator,
                     "sightline_direct_bytes_total{operation=\"write\""
                 ),
@@ -227,13 +228,13 @@ fn workers_read_and_write_past_the_coordinator() {
                 (direct("in", "coordinator"), direct("out", "coordinator")),
                 ([0; 2], [0; 2])
             );
-            // Through the coordinator go messages alone, and what members of crews find.
+            // Only messages and the results of crew members go through the coordinator.
             assert!(
                 through[1] > 2 * scene && moved[1] < scene,
                 "{moved:?} after {through:?}"
             );
-            // The store is read to check what was written there, and nothing of that is written again.
-            // Besides, the coordinator may read the name of the store, which has 33 bytes, to compare it.
+            // The coordinator reads the bucket to check the written outputs, and does not write them again.
+            // It may also read the name of the store, which has 33 bytes, to compare it.
             assert!(
                 [0, 33].contains(&through[2]) && moved[2] >= bytes,
                 "{moved:?} after {through:?}"
@@ -244,15 +245,18 @@ fn workers_read_and_write_past_the_coordinator() {
             );
         }
         assert_eq!(
-            of_workers(
+            worker_metric(
                 &workers,
                 "sightline_worker_blobs_total{direction=\"in\",way=\"fallback\"}"
             ),
             0
         );
-        assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total"), 0);
+        assert_eq!(
+            coordinator_metric(&coordinator, "sightline_direct_fallbacks_total"),
+            0
+        );
         finished(&coordinator, &sandbox, job, &workers);
-        // Nothing is left of what the workers wrote beside the blobs.
+        // The objects that the workers wrote next to the blobs are removed.
         wait_for(
             "the scene, the result and the name of the store alone",
             || (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(()),
@@ -262,15 +266,15 @@ fn workers_read_and_write_past_the_coordinator() {
 }
 
 #[test]
-fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
+fn unreachable_bucket_costs_only_log_line() {
     let (sandbox, server) = sandbox(SMALL);
-    // Nobody listens there.
+    // No server listens at this address.
     let coordinator = coordinator(&sandbox, &server, "data", "&direct=http://127.0.0.1:9");
     let job = coordinator.submit(SMALL[1]);
     let workers = [worker(&coordinator, "")];
     coordinator.ok(&format!("watch {job}"));
     let blobs = |workers: &[Background], way: &str| {
-        of_workers(
+        worker_metric(
             workers,
             &format!("sightline_worker_blobs_total{{direction=\"in\",way=\"{way}\"}}"),
         )
@@ -280,16 +284,19 @@ fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
         (0, 1)
     );
     assert_eq!(
-        of(
+        coordinator_metric(
             &coordinator,
             "sightline_direct_fallbacks_total{operation=\"read\""
         ),
         1
     );
-    // It is not tried again in this session.
-    assert_eq!(of(&coordinator, "sightline_direct_addresses_total"), 1);
+    // The worker does not try an address again in this session.
     assert_eq!(
-        of(
+        coordinator_metric(&coordinator, "sightline_direct_addresses_total"),
+        1
+    );
+    assert_eq!(
+        coordinator_metric(
             &coordinator,
             "sightline_direct_fallbacks_total{operation=\"write\""
         ),
@@ -297,12 +304,12 @@ fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
     );
     let said = workers[0].err();
     assert!(
-        said.contains("the object store at 127.0.0.1 does not do (no connection"),
+        said.contains("the object store at 127.0.0.1 is unusable (no connection"),
         "{said}"
     );
     finished(&coordinator, &sandbox, job, &workers);
     workers.into_iter().for_each(Background::kill);
-    // One that does not ask for addresses, as one of an earlier version.
+    // A worker that does not request addresses, like a worker of an earlier version.
     let again = format!("{} --seed 2", SMALL[1]);
     sandbox.ok(&format!("bake {again} -o alone.pvs --data-dir alone"));
     let job = coordinator.submit(&again);
@@ -312,12 +319,15 @@ fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
         (blobs(&workers, "coordinator"), blobs(&workers, "fallback")),
         (1, 0)
     );
-    assert_eq!(of(&coordinator, "sightline_direct_addresses_total"), 1);
+    assert_eq!(
+        coordinator_metric(&coordinator, "sightline_direct_addresses_total"),
+        1
+    );
     finished(&coordinator, &sandbox, job, &workers);
 }
 
 #[test]
-fn a_changed_object_is_found_by_the_worker_and_comes_from_the_coordinator() {
+fn worker_detects_changed_object_and_uses_coordinator() {
     let (sandbox, server) = sandbox(SMALL);
     let coordinator = coordinator(&sandbox, &server, "data", "&direct=yes");
     let job = coordinator.submit(SMALL[1]);
@@ -335,12 +345,14 @@ fn a_changed_object_is_found_by_the_worker_and_comes_from_the_coordinator() {
     let workers = [worker(&coordinator, "")];
     coordinator.ok(&format!("watch {job}"));
     assert!(
-        workers[0].err().contains("do not have its digest"),
+        workers[0]
+            .err()
+            .contains("do not have the requested digest"),
         "{}",
         workers[0].err()
     );
     assert_eq!(
-        of(
+        coordinator_metric(
             &coordinator,
             "sightline_direct_fallbacks_total{operation=\"read\""
         ),
@@ -349,17 +361,18 @@ fn a_changed_object_is_found_by_the_worker_and_comes_from_the_coordinator() {
     finished(&coordinator, &sandbox, job, &workers);
 }
 
-/// What lies between workers and the store.
-struct Between {
+/// A proxy between workers and the object store that breaks connections off.
+struct FaultyProxy {
     address: SocketAddr,
-    /// Connections that broke off in the middle of an answer.
+    /// The number of connections that broke off in the middle of an answer.
     broken: Arc<AtomicUsize>,
-    /// Bytes of answers.
+    /// The number of transferred bytes of answers.
     passed: Arc<AtomicU64>,
 }
 
-/// Passes connections on to a server, and breaks the first ones off after so many bytes of answers.
-fn between(to: SocketAddr, breaks: usize, after: u64) -> Between {
+/// Starts a proxy that forwards connections to a server, and breaks the first `breaks` ones off after `after`
+/// bytes of answers.
+fn between(to: SocketAddr, breaks: usize, after: u64) -> FaultyProxy {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let (broken, passed) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicU64::new(0)));
@@ -399,7 +412,7 @@ fn between(to: SocketAddr, breaks: usize, after: u64) -> Between {
             });
         }
     });
-    Between {
+    FaultyProxy {
         address,
         broken,
         passed,
@@ -407,7 +420,7 @@ fn between(to: SocketAddr, breaks: usize, after: u64) -> Between {
 }
 
 #[test]
-fn a_download_that_breaks_off_goes_on_where_it_was() {
+fn interrupted_download_continues() {
     let (sandbox, server) = sandbox(SMALL);
     let between = between(server.address(), 2, 700_000);
     let coordinator = coordinator(
@@ -425,17 +438,20 @@ fn a_download_that_breaks_off_goes_on_where_it_was() {
         "it broke off twice"
     );
     let read = "sightline_worker_blobs_total{direction=\"in\",way=\"direct\"}";
-    assert_eq!(of_workers(&workers, read), 1);
-    let bytes = of_workers(
+    assert_eq!(worker_metric(&workers, read), 1);
+    let bytes = worker_metric(
         &workers,
         "sightline_worker_blob_bytes_total{direction=\"in\",way=\"direct\"}",
     );
-    // Nothing of it came twice, but for what was under way.
+    // No byte was transferred twice, except bytes in transit.
     let passed = between.passed.load(Ordering::Relaxed);
     assert!(
         (bytes..bytes + bytes / 4).contains(&passed),
         "{passed} bytes for {bytes}"
     );
-    assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total"), 0);
+    assert_eq!(
+        coordinator_metric(&coordinator, "sightline_direct_fallbacks_total"),
+        0
+    );
     finished(&coordinator, &sandbox, job, &workers);
 }

@@ -1,5 +1,5 @@
-//! The examples for engines (examples/): each is run where its engine can run here, else against a stub or a
-//! parser, as examples/README.md says of each.
+//! Tests of the examples for engines (examples/). Each example runs in its engine if the engine can run here,
+//! or otherwise against a stub or a parser, as examples/README.md lists.
 
 #![allow(
     clippy::unwrap_used,
@@ -23,7 +23,7 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// A folder with a maze and its exact result, and what `dump` says of its cells' objects.
+/// Returns a folder with a maze and its exact result, and the output of `dump` about its cells' objects.
 fn maze() -> &'static (Sandbox, Vec<Value>) {
     static SHARED: OnceLock<(Sandbox, Vec<Value>)> = OnceLock::new();
     SHARED.get_or_init(|| {
@@ -43,7 +43,7 @@ fn maze() -> &'static (Sandbox, Vec<Value>) {
     })
 }
 
-/// The middle of a cell of `dump`.
+/// Returns the centre of a cell of `dump`.
 fn middle(cell: &Value) -> [f64; 3] {
     [0, 1, 2].map(|k| {
         f64::midpoint(
@@ -53,13 +53,14 @@ fn middle(cell: &Value) -> [f64; 3] {
     })
 }
 
-/// Says that something is not run, or fails in CI.
+/// Prints that a test is not run, or fails on CI.
 fn skipped(why: &str) {
     assert!(!in_ci(), "{why}");
     eprintln!("not run: {why}");
 }
 
-/// What a command that must succeed prints; `None` where its program is missing, which in CI is a failure.
+/// Returns the output of a command that must succeed, or `None` if its program is missing, which is a failure
+/// on CI.
 fn said(command: &mut Command) -> Option<String> {
     match command.output() {
         Ok(out) => {
@@ -78,7 +79,7 @@ fn said(command: &mut Command) -> Option<String> {
     }
 }
 
-/// The target folder of this build, where what is fetched is kept.
+/// Returns the folder for downloads in the target folder of this build.
 fn kept() -> PathBuf {
     std::env::current_exe()
         .unwrap()
@@ -88,7 +89,7 @@ fn kept() -> PathBuf {
         .join("engines")
 }
 
-/// Python with a package index; `None` where it cannot be had.
+/// Returns a Python with a package index, or `None` if it is not available.
 fn python() -> Option<&'static Path> {
     static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
     let made = || {
@@ -102,8 +103,8 @@ fn python() -> Option<&'static Path> {
     PYTHON.get_or_init(made).as_deref()
 }
 
-/// Runs pip with these arguments after `command`; false where packages cannot be fetched, which in CI is a
-/// failure.
+/// Runs pip with these arguments after `command`. Returns false if packages cannot be downloaded, which is a
+/// failure on CI.
 fn pip(python: &Path, command: &str, arguments: &[&str]) -> bool {
     let mut pip = Command::new(python);
     pip.args([
@@ -125,11 +126,11 @@ fn pip(python: &Path, command: &str, arguments: &[&str]) -> bool {
     out.status.success()
 }
 
-/// The wheel from which three.js is taken: npm is not needed for a test. It has three.js r168 as modules.
+/// The wheel that contains three.js r168 as modules, so that a test does not need npm.
 const WHEEL: &str = "nicegui==2.24.2 \
     --hash=sha256:9b810fe75f3dd1ff926e3d96d71e25031387fe5b7a21d32159a32611b8023423\n";
 
-/// A folder with three.module.js and modules/GLTFLoader.js; `None` where they cannot be fetched.
+/// Returns a folder with three.module.js and modules/GLTFLoader.js, or `None` if they cannot be downloaded.
 fn three() -> Option<PathBuf> {
     let folder = kept().join("three-168");
     let modules = folder.join("nicegui/elements/lib/three");
@@ -161,7 +162,7 @@ z.extractall(sys.argv[2], [n for n in z.namelist() if n.startswith('nicegui/elem
     Some(modules)
 }
 
-/// What the test does in the page: pictures of all meshes in colours of their own, from a point in all
+/// The script of the test in the page. It draws all meshes in separate colours, from a point in all
 /// directions, with culling and without.
 const LOOK: &str = "
     const example = await globalThis.example;
@@ -195,13 +196,13 @@ const LOOK: &str = "
     };";
 
 #[test]
-fn three_draws_the_same_pictures_with_fewer_calls() {
+fn three_draws_same_pictures_with_fewer_calls() {
     let Some(three) = three() else { return };
     let Some(browser) = Browser::start([400, 300]) else {
         return;
     };
     let (sandbox, cells) = maze();
-    // The page with another import map: this three.js, whose loader names a module by another name.
+    // Use the page with another import map: in this three.js, the loader imports a module by another name.
     let page = std::fs::read_to_string(root().join("examples/three/index.html")).unwrap();
     let (before, map) = page.split_once("<script type=\"importmap\">").unwrap();
     let (_, after) = map.split_once("</script>").unwrap();
@@ -223,7 +224,7 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
     browser.open(
         &site.address("/examples/three/index.html?scene=/level/level.glb&pvs=/level/level.pvs"),
     );
-    // The page itself counts.
+    // The page itself counts the draw calls.
     let counted = "await globalThis.example; await new Promise(requestAnimationFrame);
         await new Promise(requestAnimationFrame); return document.getElementById('status').textContent";
     let status = browser.run(counted);
@@ -260,7 +261,7 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
         sum(1),
         sum(2)
     );
-    // The comparison sees a single mesh that is missing.
+    // The comparison detects a single missing mesh.
     let missing = browser.run(&format!(
         "{LOOK} look({:?}, 0);
         const whole = picture(true), counts = meshes.map((mesh) => {{
@@ -276,7 +277,7 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
         eyes[0]
     ));
     assert!(missing.as_i64().unwrap() > 100, "{missing}");
-    // Another scene is refused in words.
+    // Another scene is rejected with a message.
     sandbox.ok("generate maze --grid 4x3 -o other.glb");
     browser.open(
         &site.address("/examples/three/index.html?scene=/level/other.glb&pvs=/level/level.pvs"),
@@ -294,7 +295,7 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
 }
 
 #[test]
-fn the_unity_component_culls_in_a_stub_of_unity() {
+fn unity_component_culls_in_stub_of_unity() {
     let (sandbox, cells) = maze();
     sandbox.ok("export level.pvs --format sidecar -o level.json");
     let sidecar: Value = serde_json::from_slice(&sandbox.read("level.json")).unwrap();
@@ -347,15 +348,15 @@ fn the_unity_component_culls_in_a_stub_of_unity() {
     assert_eq!(lines.next().unwrap(), format!("-1:{}", names.join(",")));
     assert_eq!(lines.collect::<Vec<_>>(), ["off:0"]);
     sandbox.write("broken.pvs", "no result");
-    assert!(run("broken.pvs").contains("nothing is culled"));
+    assert!(run("broken.pvs").contains("culling is off"));
 }
 
-/// The node of an object of a sidecar, which is named `node/mesh#primitive`.
+/// Returns the node of an object of a sidecar, which is named `node/mesh#primitive`.
 fn node(object: &Value) -> &str {
     object["name"].as_str().unwrap().split('/').next().unwrap()
 }
 
-/// The names that are shown from a cell: those in its set, and those in no set at all.
+/// Returns the names that are shown from a cell: names in its set, and names in no set at all.
 fn expected<'a>(names: &[&'a str], nodes: &[&str], cells: &[Value], cell: &Value) -> Vec<&'a str> {
     let has = |cell: &Value, name: &str| {
         let ids = cell["visible"].as_array().unwrap().iter();
@@ -371,7 +372,7 @@ fn expected<'a>(names: &[&'a str], nodes: &[&str], cells: &[Value], cell: &Value
 }
 
 #[test]
-fn the_godot_script_is_gdscript() {
+fn godot_script_is_valid_gdscript() {
     let Some(python) = python() else { return };
     let tools = [
         "gdtoolkit==4.5.0",
@@ -386,7 +387,7 @@ fn the_godot_script_is_gdscript() {
     let tool = |name: &str| Command::new(python.with_file_name(name));
     said(tool("gdparse").arg(&script)).unwrap();
     said(tool("gdlint").arg(&script)).unwrap();
-    // The parser refuses what is none.
+    // The parser rejects an invalid script.
     let text = std::fs::read_to_string(&script).unwrap().replacen(
         "func _ready() -> void:",
         "func _ready( -> void:",
@@ -408,7 +409,7 @@ fn the_godot_script_is_gdscript() {
 }
 
 #[test]
-fn players_are_told_of_whom_their_cells_see() {
+fn players_receive_players_that_their_cells_see() {
     let (sandbox, cells) = maze();
     let seen = sandbox.ok("dump level.pvs --items cells");
     let seen: Vec<Value> = seen
@@ -432,7 +433,7 @@ fn players_are_told_of_whom_their_cells_see() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        // A program that refuses its arguments reads nothing.
+        // A program that rejects its arguments does not read stdin.
         drop(child.stdin.take().unwrap().write_all(players.as_bytes()));
         let out = child.wait_with_output().unwrap();
         let lines = String::from_utf8(out.stdout).unwrap();
@@ -460,7 +461,7 @@ fn players_are_told_of_whom_their_cells_see() {
     };
     let most = cells.len() * (cells.len() - 1);
     assert!((1..most).contains(&pairs(&lines)), "{lines:?}");
-    // With a margin more may know of each other, and always both or none.
+    // With a margin, more players may see each other. Visibility stays symmetric.
     let (wider, _) = ask("level.pvs 1.5", &players);
     assert!(pairs(&wider) > pairs(&lines), "{wider:?}");
     let knows = |a: usize, b: usize| wider[a].split(' ').any(|name| name == format!("p{b}"));
@@ -469,7 +470,8 @@ fn players_are_told_of_whom_their_cells_see() {
             .all(|a| all.clone().all(|b| a == b || knows(a, b) == knows(b, a))),
         "{wider:?}"
     );
-    // Of who is outside nothing is known, so everybody is told, and they of everybody.
+    // The visibility of a player outside the view box is unknown, so the player sees everyone, and everyone
+    // sees the player.
     let (lines, _) = ask("level.pvs", &format!("{players}far -100 0 0\n"));
     assert_eq!(lines.last().unwrap().split(' ').count(), 1 + cells.len());
     assert!(

@@ -1,5 +1,5 @@
-//! Bakes by exact queries: in one process and in a cluster with failures. Results are verified, altered,
-//! queried for reasons, and cut short by a time budget.
+//! Tests of bakes by exact queries, in one process and in a cluster with failures. Results are verified,
+//! altered, queried for reasons, and cut short by a time budget.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,13 +9,13 @@ use serde_json::Value;
 use sightline_pvs::{Builder, Header, Pvs};
 use sightline_tests::{Sandbox, across, assert_same, house};
 
-/// Three walls with slits of a thousandth of their size: triangles beyond the walls are seen through at most
-/// two slits.
+/// The scene: three walls with slits of a thousandth of their size. Triangles beyond the walls are visible
+/// through at most two slits.
 const SCENE: &str = "generate slits --grid 3x2 --slit-width 0.001 -o slits.glb";
 const JOB: &str =
     "slits.glb --cells 3x2x2 --block-cells 1 --backend cpu --method exact --certificates";
 
-/// A folder with the scene in it, and with `exact.pvs`.
+/// Returns a folder with the scene and with `exact.pvs`.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
@@ -23,7 +23,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// The result of [`JOB`] in one process.
+/// Returns the result of [`JOB`] in one process.
 fn alone() -> &'static [u8] {
     static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
     ALONE.get_or_init(|| {
@@ -35,7 +35,7 @@ fn alone() -> &'static [u8] {
 }
 
 #[test]
-fn a_cluster_that_is_disturbed_decides_the_same_to_the_last_byte() {
+fn disturbed_cluster_gives_same_bytes() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
@@ -53,7 +53,7 @@ fn a_cluster_that_is_disturbed_decides_the_same_to_the_last_byte() {
 }
 
 #[test]
-fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
+fn exact_result_is_decided_and_verified_and_contains_sampled_sets() {
     let sandbox = sandbox();
     let exact = sandbox.dump("exact.pvs");
     assert_eq!(exact.header["method"], "exact");
@@ -102,7 +102,7 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
 }
 
 #[test]
-fn what_a_result_says_of_itself_has_to_agree_with_it() {
+fn description_of_result_agrees_with_its_contents() {
     let sandbox = sandbox();
     let pvs = Pvs::from_bytes(alone()).unwrap();
     let said = |method: &str, info: &str, flags: u32| {
@@ -142,13 +142,23 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
         "{sampled}"
     );
     for (method, info, flags, why) in [
-        ("trust", info.to_owned(), 0, "\"trust\" is no method"),
-        ("verified", info.to_owned(), 0, "its method is verified"),
+        (
+            "trust",
+            info.to_owned(),
+            0,
+            "the method \"trust\" has no certificates",
+        ),
+        (
+            "verified",
+            info.to_owned(),
+            0,
+            "the result states the method verified",
+        ),
         (
             "exact",
             info.replace("\"z\":2", "\"z\":3"),
             0,
-            "its parameters say 3x2x3 cells",
+            "the result's parameters state 3x2x3 cells",
         ),
         ("exact", info.to_owned(), 4, "cell 0 has flags 0x4"),
     ] {
@@ -162,7 +172,7 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
 }
 
 #[test]
-fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates() {
+fn cell_groups_have_sets_of_single_cells_and_share_certificates() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let bake = |blocks: &str, out: &str| {
@@ -200,7 +210,7 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
             "{info}"
         );
     }
-    // The number of workers changes no byte.
+    // The number of workers does not affect the bytes.
     for workers in [1, 4] {
         let job =
             "slits.glb --cells 4x4x2 --backend cpu --method exact --certificates --block-cells 8";
@@ -213,13 +223,13 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         &sandbox.read("by4.pvs"),
         "by one worker and by four",
     );
-    // A sample looks up the certificate of a cell group, which is kept with the group's first cell.
+    // A sample looks up the certificate of a cell group, which is stored with the group's first cell.
     let sampled = sandbox.json("verify slits.glb joint.pvs --sample 60");
     assert!(
         sampled["certificates_checked"].as_u64() > Some(0),
         "{sampled}"
     );
-    // `query --why` finds a group's certificate that is kept with another cell.
+    // `query --why` finds a group's certificate that is stored with another cell.
     let triangles = alone.header["triangles"].as_u64().unwrap();
     let middle = alone.cells[5].middle().map(|c| c.to_string()).join(" ");
     let boxes = (0..triangles)
@@ -236,7 +246,7 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         boxes > 0,
         "something is hidden from the box around the cell"
     );
-    // Cells are refused without their group's certificate, and so are exchanged certificates.
+    // Cells without their group's certificate are rejected, and so are exchanged certificates.
     let joint = sandbox.read("joint.pvs");
     let pvs = Pvs::from_bytes(joint.clone()).unwrap();
     let all: Vec<Vec<u8>> = (0..pvs.cells())
@@ -256,7 +266,7 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
     refused(&first_gone);
     let mut rotated = all.clone();
     rotated.rotate_left(1);
-    assert!(refused(&rotated).contains("before the first"));
+    assert!(refused(&rotated).contains("before cell 0"));
     let mut swapped = all.clone();
     swapped.swap(0, 8);
     refused(&swapped);
@@ -279,8 +289,8 @@ fn cells_of_an_adaptive_tree_are_decided_and_verified() {
         "bake slits.glb {tree} -o sampled.pvs --data-dir data"
     ));
     let [exact, sampled] = ["tree.pvs", "sampled.pvs"].map(|name| sandbox.dump(name).cells);
-    // The tree is deeper than the splits that are always made, and is the same for both methods, since
-    // sampling determines it.
+    // The tree is deeper than the splits that are always made. Sampling determines it, so it is the same for
+    // both methods.
     assert!(exact.len() > 8, "{} cells", exact.len());
     assert_eq!(exact.len(), sampled.len());
     for (cell, sampled) in exact.iter().zip(sampled) {
@@ -293,12 +303,12 @@ fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     }
 }
 
-/// The result with its sets and certificates altered by `change`, under correct checksums.
+/// Returns the result with its sets and certificates altered by `change`, under correct checksums.
 fn tampered(change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
     changed(alone(), change)
 }
 
-/// As [`tampered`], for any result.
+/// Returns any result with its sets and certificates altered by `change`, under correct checksums.
 fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
     let pvs = Pvs::from_bytes(result).unwrap();
     let mut builder = Builder::new(Header {
@@ -327,7 +337,7 @@ fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> 
 }
 
 #[test]
-fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
+fn altered_result_is_rejected_with_cell() {
     let sandbox = sandbox();
     assert_same(&tampered(|_, _, _| ()), alone(), "nothing changed");
     let refuse = |what: &str, file: Vec<u8>| {
@@ -388,7 +398,7 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
 }
 
 #[test]
-fn who_asks_why_is_told_the_witness_or_the_blockers() {
+fn why_query_returns_witness_or_blockers() {
     let sandbox = sandbox();
     let dump = sandbox.dump("exact.pvs");
     let cell = &dump.cells[0];
@@ -435,9 +445,9 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
 }
 
 #[test]
-fn an_object_is_seen_when_a_triangle_of_it_is_and_a_picture_shows_why() {
+fn object_is_visible_with_one_triangle_and_picture_shows_reason() {
     let sandbox = Sandbox::new();
-    // A wall at x = 2 leaves y from 1 to 2 open; the shelf stands behind it, low.
+    // A wall at x = 2 leaves y from 1 to 2 open; the shelf is behind the wall, below the opening.
     let shelf = [
         [2.2, 0.1, 0.5],
         [2.5, 0.1, 0.5],
@@ -491,7 +501,8 @@ fn an_object_is_seen_when_a_triangle_of_it_is_and_a_picture_shows_why() {
                 .filter(|p| like([p[0], p[1], p[2]].map(i32::from)))
                 .count()
         };
-        // What is asked about is green, what hides it red, the end of a witness a yellow frame.
+        // In the picture, the target is green, its blockers are red, and the end of a witness is a yellow
+        // frame.
         let green = drawn(|[r, g, b]| g > r + 30 && g > b + 30);
         let red = drawn(|[r, g, b]| r > g + 60 && r > b + 60);
         if visible {
@@ -527,7 +538,7 @@ fn an_object_is_seen_when_a_triangle_of_it_is_and_a_picture_shows_why() {
 }
 
 #[test]
-fn a_time_budget_leaves_a_sound_bracket() {
+fn time_budget_leaves_valid_bounds() {
     let sandbox = sandbox();
     let exact = sandbox.dump("exact.pvs");
     let job = "slits.glb --cells 3x2x2 --backend cpu --method verified --certificates";
@@ -570,7 +581,7 @@ fn a_time_budget_leaves_a_sound_bracket() {
 }
 
 #[test]
-fn what_cannot_be_verified_says_why() {
+fn unverifiable_results_are_rejected_with_reason() {
     let sandbox = sandbox();
     sandbox
         .run("bake slits.glb --certificates -o x.pvs")

@@ -1,5 +1,5 @@
-//! The ends of commands that have too little memory, too few threads or too few descriptors: exit code 1 and
-//! a sentence, whatever the command was doing.
+//! Tests of commands that have too little memory, too few threads or too few descriptors. They end with exit
+//! code 1 and a sentence, regardless of their work.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
@@ -7,7 +7,7 @@
 use sightline_pvs::{Builder, CellTree, Header, Items, Node, Object};
 use sightline_tests::{Run, Sandbox};
 
-/// Triangles that a small file claims.
+/// The number of triangles that a small file claims.
 const TRIANGLES: u32 = 5_000_000;
 
 /// Writes a result of a few hundred bytes with one cell that sees all of its many triangles.
@@ -38,8 +38,8 @@ fn small_result(sandbox: &Sandbox) {
     sandbox.write("small.pvs", file);
 }
 
-/// Returns true if a command has succeeded. Otherwise it must have ended with code 1, a sentence, and one of
-/// the texts on stderr.
+/// Returns true if a command succeeded. Otherwise it must have ended with code 1, a sentence, and one of the
+/// texts on stderr.
 #[track_caller]
 fn ends_well(run: Run, texts: &[&str]) -> bool {
     if run.succeeded() {
@@ -95,10 +95,10 @@ fn missing_descriptors_end_with_sentence() {
     let texts = [
         "Too many open files",
         "too many open files",
-        "open files, and a process that serves needs",
+        "open files, but a server needs",
     ];
     let generate = "generate maze --grid 3x3 -o again.glb";
-    // The loader opens one file at a time, next to stdin, stdout and stderr.
+    // The loader opens one file at a time, in addition to stdin, stdout and stderr.
     assert!(!ends_well(
         sandbox.run_limited("ulimit -n 4", generate),
         &texts
@@ -123,13 +123,13 @@ fn missing_descriptors_end_with_sentence() {
 #[test]
 fn missing_memory_and_threads_end_with_sentence() {
     let mut sandbox = baked();
-    // Three million triangles have 108 MB of coordinates.
+    // The coordinates of three million triangles have 108 MB.
     let generate = "generate forest --triangles 3000000 -o forest.glb";
     assert!(!ends_well(
         sandbox.run_limited("ulimit -d 50000", generate),
         &["ulimit -v"]
     ));
-    for kilobytes in [5_000, 20_000, 50_000, 100_000] {
+    for kilobytes in [5_000, 20_000, 50_000] {
         let bake = format!("{BAKE} --data-dir with-{kilobytes} -o again.pvs");
         let limits = format!("ulimit -d {kilobytes}");
         assert!(

@@ -1,4 +1,4 @@
-//! `sightline export`: the sets of a result for engines and tables.
+//! Tests of `sightline export`: the sets of a result for engines and tables.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sightline_tests::{Sandbox, assert_same, house};
 
 #[test]
-fn every_form_has_the_same_objects_as_dump() {
+fn export_formats_have_objects_of_dump() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --grid 3x2 --triangles 1500 -o rooms.glb");
     sandbox
@@ -35,7 +35,7 @@ fn every_form_has_the_same_objects_as_dump() {
         );
     }
     let manifest: Value = serde_json::from_slice(&sandbox.read("manifest.json")).unwrap();
-    // A corner of a grid of 4×1×3 has two neighbours; each is one of the other's.
+    // A corner of a grid of 4×1×3 has two neighbours, and each of them has the corner as a neighbour.
     let cells_of = manifest["cells"].as_array().unwrap();
     assert_eq!(cells_of[0]["neighbours"].as_array().unwrap().len(), 2);
     assert!(cells_of[0]["triangles"].as_u64().unwrap() > 0);
@@ -70,7 +70,7 @@ fn every_form_has_the_same_objects_as_dump() {
         .says("not a .pvs file");
 }
 
-/// The JSON and the binary chunk of a GLB.
+/// Returns the JSON and the binary chunk of a GLB.
 fn parts(glb: &[u8]) -> (Value, &[u8]) {
     let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((&glb[..4], word(8)), (&b"glTF"[..], glb.len()));
@@ -82,7 +82,7 @@ fn parts(glb: &[u8]) -> (Value, &[u8]) {
     )
 }
 
-/// Takes the extension out of a document.
+/// Removes the extension from a document and returns it.
 fn take(json: &mut Value) -> Value {
     let root = json.as_object_mut().unwrap();
     assert_eq!(
@@ -92,7 +92,7 @@ fn take(json: &mut Value) -> Value {
     root.remove("extensions").unwrap()["SIGHTLINE_visibility"].take()
 }
 
-/// The lines of `dump --items objects` about cells.
+/// Returns the lines of `dump --items objects` about cells.
 fn dumped(sandbox: &Sandbox, result: &str) -> Vec<Value> {
     let lines = sandbox.ok(&format!("dump {result} --items objects"));
     lines
@@ -103,7 +103,7 @@ fn dumped(sandbox: &Sandbox, result: &str) -> Vec<Value> {
 }
 
 #[test]
-fn a_glb_gets_the_lists_and_stays_the_same_scene() {
+fn glb_with_lists_is_same_scene() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 5x3 -o maze.glb");
     let boxes = "--view-box 0.4,0.5,0.4,9.6,1.5,5.6 --cells 3x1x2";
@@ -126,7 +126,7 @@ fn a_glb_gets_the_lists_and_stays_the_same_scene() {
             (&cell["min"], &cell["max"]),
             (&expected["min"], &expected["max"])
         );
-        // Something is hidden, so that the lists say something.
+        // At least one object is hidden, so the lists are not trivial.
         assert!(
             cell["objects"].as_array().unwrap().len()
                 < extension["objects"].as_array().unwrap().len()
@@ -136,23 +136,23 @@ fn a_glb_gets_the_lists_and_stays_the_same_scene() {
     // Objects are named "node/mesh#primitive"; the generator names nodes.
     sandbox.ok("export maze.pvs --format sidecar -o maze.json");
     let sidecar: Value = serde_json::from_slice(&sandbox.read("maze.json")).unwrap();
-    for (object, of) in sidecar["objects"]
+    for (object, entry) in sidecar["objects"]
         .as_array()
         .unwrap()
         .iter()
         .zip(extension["objects"].as_array().unwrap())
     {
-        let node = &after["nodes"][of["node"].as_u64().unwrap() as usize];
-        assert_eq!(node["mesh"], of["mesh"]);
+        let node = &after["nodes"][entry["node"].as_u64().unwrap() as usize];
+        assert_eq!(node["mesh"], entry["mesh"]);
         assert!(
             object["name"]
                 .as_str()
                 .unwrap()
                 .starts_with(node["name"].as_str().unwrap())
         );
-        assert_eq!(of["primitive"], 0);
+        assert_eq!(entry["primitive"], 0);
     }
-    // It is the same scene for every other command.
+    // Every other command reads the same scene from the file.
     sandbox.ok("mesh maze.glb -o maze.ply");
     sandbox.ok("mesh seen.glb -o seen.ply");
     assert_same(
@@ -166,7 +166,7 @@ fn a_glb_gets_the_lists_and_stays_the_same_scene() {
     export("-o x.glb").code(2).says("--scene LEVEL.glb");
     export("--scene seen.glb -o x.glb")
         .code(3)
-        .says("already; name the file without it");
+        .says("already has the extension");
     export("--scene maze.glb -o x.gltf")
         .code(2)
         .says("a name that ends in .glb");
@@ -176,7 +176,7 @@ fn a_glb_gets_the_lists_and_stays_the_same_scene() {
     sandbox
         .run("export maze.pvs --format csv --scene maze.glb -o x.csv")
         .code(2)
-        .says("leave out --scene");
+        .says("omit --scene");
     sandbox.ok("generate maze --grid 5x3 --seed 7 -o other.glb");
     export("--scene other.glb -o x.glb")
         .code(3)
@@ -184,11 +184,13 @@ fn a_glb_gets_the_lists_and_stays_the_same_scene() {
     sandbox.write("house.obj", house(&[]));
     sandbox.ok("bake house.obj -o house.pvs --cells 1x1x1 --backend cpu");
     let of_obj = sandbox.run("export house.pvs --format gltf --scene house.obj -o x.glb");
-    of_obj.code(3).says("no glTF or GLB; use --format sidecar");
+    of_obj
+        .code(3)
+        .says("not a glTF or GLB file; use --format sidecar");
     assert!(!sandbox.path("x.glb").exists());
 }
 
-/// The cells of an extension: their corners, and their objects.
+/// Returns the cells of an extension: their corners and their objects.
 fn cells(extension: &Value, json: &Value, data: &[u8]) -> Vec<(Vec<f32>, Vec<u32>)> {
     let packed = &extension["packedCells"];
     let numbers = |list: &Value| {
@@ -242,14 +244,14 @@ fn cells(extension: &Value, json: &Value, data: &[u8]) -> Vec<(Vec<f32>, Vec<u32
 }
 
 #[test]
-fn long_lists_of_a_glb_are_packed_and_what_moves_is_in_none() {
+fn long_lists_of_glb_are_packed_without_moving_objects() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 5x3 -o maze.glb");
     let glb = sandbox.read("maze.glb");
     let (mut json, bytes) = parts(&glb);
     json["nodes"][1]["name"] = "turning".into();
     sandbox.write("moving.glb", with_json(&json, bytes));
-    // The same as JSON with its buffer beside it.
+    // The file as JSON with a separate buffer.
     let mut beside = json.clone();
     beside["buffers"][0]["uri"] = "moving.bin".into();
     sandbox.write("moving.bin", bytes);
@@ -275,7 +277,7 @@ fn long_lists_of_a_glb_are_packed_and_what_moves_is_in_none() {
         };
         let extension = take(&mut after);
         assert_eq!(extension["cells"].is_null(), is_glb);
-        // Object 1 moves, so the lists are without it, and the numbers of later ones are one less.
+        // Object 1 moves, so the lists do not contain it, and the numbers of later objects are one lower.
         let objects = extension["objects"].as_array().unwrap();
         assert!(objects.iter().all(|o| o["node"] != 1) && objects[1]["node"] == 2);
         let cells = cells(&extension, &after, data);
@@ -303,7 +305,7 @@ fn long_lists_of_a_glb_are_packed_and_what_moves_is_in_none() {
                     .collect::<Vec<_>>()
             );
         }
-        // Without what was added it is the file.
+        // Without the extension, the file is unchanged.
         assert_same(&data[..bytes.len()], bytes, "binary chunk");
         let views = before["bufferViews"].as_array().unwrap().len();
         after["bufferViews"].as_array_mut().unwrap().truncate(views);
@@ -316,12 +318,12 @@ fn long_lists_of_a_glb_are_packed_and_what_moves_is_in_none() {
             sandbox
                 .run(export)
                 .code(2)
-                .says("needs moving.bin beside it");
+                .says("refers to the file moving.bin in its folder");
         }
     }
 }
 
-/// A GLB of JSON and a binary chunk.
+/// Creates a GLB of JSON and a binary chunk.
 fn with_json(json: &Value, bytes: &[u8]) -> Vec<u8> {
     let mut text = json.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
@@ -336,7 +338,7 @@ fn with_json(json: &Value, bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn shells_and_readers_get_what_the_arguments_say() {
+fn shells_and_readers_receive_result_of_arguments() {
     let sandbox = Sandbox::new();
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         assert!(

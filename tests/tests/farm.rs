@@ -1,12 +1,12 @@
-//! What people see of a farm: workers, tiles, events; and what they do with jobs: pause, delete, fetch what
-//! is done.
+//! Tests of the farm's display (workers, tiles and events) and of user actions on jobs: pause, delete, and
+//! download of partial results.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use serde_json::Value;
 use sightline_tests::{Coordinator, Sandbox, wait_for};
 
-/// 64 tiles of some tens of milliseconds.
+/// The job has 64 tiles of tens of milliseconds each.
 const JOB: &str = "rooms.glb --cells 8x8x8 --block-cells 8 --target-error 0.0003 --backend cpu";
 
 fn sandbox() -> Sandbox {
@@ -15,7 +15,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// The lines of a command that prints JSON Lines.
+/// Returns the lines of a command that prints JSON Lines.
 fn lines(coordinator: &Coordinator<'_>, line: &str) -> Vec<Value> {
     let out = coordinator.ok(&format!("{line} --json"));
     out.lines()
@@ -30,7 +30,7 @@ fn number(value: &Value) -> u64 {
 }
 
 #[test]
-fn workers_tiles_and_events_tell_what_happened() {
+fn workers_tiles_and_events_describe_job() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     assert!(
@@ -48,7 +48,7 @@ fn workers_tiles_and_events_tell_what_happened() {
         "{}",
         tiles[0]
     );
-    // The boxes of the tiles are those of a grid: they fill the view box.
+    // The boxes of the tiles belong to a grid: they fill the view box.
     let volume = |t: &Value| {
         let at = |i: usize| t["box"][i].as_f64().unwrap();
         (0..3).map(|axis| at(axis + 3) - at(axis)).product::<f64>()
@@ -105,7 +105,7 @@ fn workers_tiles_and_events_tell_what_happened() {
             .starts_with("the job is done"),
         "{last}"
     );
-    // Those of the farm have the worker, and the rest by number.
+    // Events of the farm contain the worker, and the events after a number can be requested.
     let all = lines(&coordinator, "logs");
     assert!(
         all.iter()
@@ -114,7 +114,7 @@ fn workers_tiles_and_events_tell_what_happened() {
     let half = numbers[numbers.len() / 2];
     let rest = lines(&coordinator, &format!("logs {job} --after {half}"));
     assert_eq!(rest.len(), numbers.iter().filter(|n| **n > half).count());
-    // The spec is shown as the interface names it, and jobs have ages.
+    // The specification has the names of the interface, and jobs have ages.
     assert_eq!(
         coordinator.json(&format!("show {job}"))["spec"]["visibility"]["aggressive"]["sampling"]["lines"]
             ["grid"]["x"],
@@ -122,13 +122,13 @@ fn workers_tiles_and_events_tell_what_happened() {
     );
     assert!(coordinator.ok("jobs").contains("ended "));
 
-    // They outlive the coordinator.
+    // The events survive the coordinator.
     let address = coordinator.address();
     worker.kill();
     wait_for("the worker's end in the log", || {
         lines(&coordinator, "logs")
             .iter()
-            .any(|e| e["text"] == "worker ann has gone")
+            .any(|e| e["text"] == "worker ann has disconnected")
             .then_some(())
     });
     // Events are written a moment later.
@@ -140,15 +140,15 @@ fn workers_tiles_and_events_tell_what_happened() {
     coordinator
         .run("logs 99")
         .code(4)
-        .says("job 99 is not known here");
+        .says("job 99 does not exist");
     coordinator
         .run("show 99 --tiles")
         .code(4)
-        .says("job 99 is not known here");
+        .says("job 99 does not exist");
 }
 
 #[test]
-fn a_paused_job_finishes_its_tiles_or_stops_now() {
+fn paused_job_finishes_its_tiles_or_stops_now() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
@@ -185,21 +185,21 @@ fn a_paused_job_finishes_its_tiles_or_stops_now() {
 }
 
 #[test]
-fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
+fn partial_result_hides_only_done_cells() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let refused = coordinator
         .run(&format!("fetch {job} --partial -o some.pvs"))
         .code(4);
-    assert!(refused.err.contains("none of the tiles"), "{}", refused.err);
+    assert!(refused.err.contains("no finished tile"), "{}", refused.err);
     let worker = coordinator.worker();
     coordinator.until(job, "the job's middle", |job| {
         number(&job["tiles_done"]) > 3
     });
     coordinator.ok(&format!("pause {job}"));
     coordinator.until(job, "a rest", |job| number(&job["tiles_running"]) == 0);
-    // The worker may have begun a tile when the coordinator took it back, and such a tile counts.
+    // The worker may have started a tile when the coordinator revoked it, and such a tile counts.
     worker.kill();
     let paused = coordinator.until(job, "the end of the worker", |job| {
         number(&job["workers"]) == 0
@@ -208,7 +208,9 @@ fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
         .run(&format!("fetch {job} --partial -o some.pvs"))
         .code(0);
     assert!(
-        fetched.err.contains("all other cells show everything"),
+        fetched
+            .err
+            .contains("the sets of all other cells contain every triangle"),
         "{}",
         fetched.err
     );
@@ -239,7 +241,7 @@ fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
 }
 
 #[test]
-fn a_deleted_job_leaves_what_others_need() {
+fn deletion_of_job_keeps_shared_data() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let worker = coordinator.worker();
@@ -247,7 +249,7 @@ fn a_deleted_job_leaves_what_others_need() {
     let [a, b] = [1, 2].map(|seed| coordinator.submit(&small(seed)));
     coordinator.finish(a);
     let kept = coordinator.finish(b);
-    // Without a worker nothing is added to the files while they are counted.
+    // Without a worker no files are added during the count.
     worker.kill();
     let open = coordinator.submit(&format!("{JOB} --seed 9"));
     coordinator
@@ -260,15 +262,15 @@ fn a_deleted_job_leaves_what_others_need() {
     coordinator
         .run(&format!("show {a}"))
         .code(4)
-        .says(&format!("job {a} is not known here"));
+        .says(&format!("job {a} does not exist"));
     coordinator
         .run(&format!("delete {a}"))
         .code(4)
-        .says(&format!("job {a} is not known here"));
+        .says(&format!("job {a} does not exist"));
     coordinator.ok(&format!("fetch {b} -o again.pvs"));
     assert!(sandbox.read("again.pvs") == kept);
     let _worker = coordinator.worker();
-    // Submitted again it is another job, and gives the same.
+    // A new submission is another job with the same result.
     let again = coordinator.submit(&small(1));
     assert!(again > open);
     coordinator.ok(&format!("cancel {open}"));
@@ -277,7 +279,7 @@ fn a_deleted_job_leaves_what_others_need() {
 }
 
 #[test]
-fn a_watcher_outlives_the_coordinator() {
+fn watcher_survives_coordinator_restart() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let address = coordinator.address();
@@ -299,9 +301,9 @@ fn a_watcher_outlives_the_coordinator() {
 }
 
 #[test]
-fn progress_is_told_to_programs_and_two_bakes_go_on_at_a_time() {
+fn progress_is_printed_as_json_and_two_bakes_run_in_parallel() {
     let sandbox = sandbox();
-    // Both use the usual data directory of the sandbox's user.
+    // Both bakes use the default data directory of the sandbox's user.
     let long = "rooms.glb --cells 8x8x8 --block-cells 8 --target-error 0.00003 --backend cpu";
     let first = sandbox.start(&format!("bake {long} -o first.pvs --json"));
     wait_for("the first bake's progress", || {

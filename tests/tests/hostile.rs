@@ -1,6 +1,6 @@
-//! Silent clients and uploads that never end, against a coordinator with few descriptors.
+//! Tests of silent clients and endless uploads, against a coordinator with few descriptors.
 //!
-//! `SIGHTLINE_HOSTILE=full` opens 1200 connections with each port and sends 400 MB with each upload, as
+//! `SIGHTLINE_HOSTILE=full` opens 1200 connections to each port and sends 400 MB with each upload, as
 //! `scripts/nightly.sh` does, and prints the measurements.
 
 #![allow(
@@ -31,7 +31,7 @@ fn is_full() -> bool {
     std::env::var_os("SIGHTLINE_HOSTILE").is_some_and(|size| size == "full")
 }
 
-/// Opens connections that send the beginning of something and no more.
+/// Opens connections that send the first bytes of a request and no more.
 fn idle(address: &str, count: usize) -> Vec<TcpStream> {
     let beginnings = [
         &b""[..],
@@ -40,7 +40,7 @@ fn idle(address: &str, count: usize) -> Vec<TcpStream> {
     ];
     let open = |beginning: &&[u8]| {
         let mut stream = TcpStream::connect(address).unwrap();
-        // A connection that was closed for another one accepts no more bytes.
+        // A connection that was closed in favor of another one accepts no bytes.
         drop(stream.write_all(beginning));
         stream
     };
@@ -63,13 +63,13 @@ fn metric(coordinator: &Coordinator<'_>, name: &str) -> f64 {
 }
 
 #[test]
-fn idle_connections_stop_no_caller_and_no_worker() {
+fn idle_connections_do_not_stop_callers_or_workers() {
     let mut sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 2000 -o rooms.glb");
     sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
     let count = if is_full() { 1200 } else { 120 };
     if !is_full() {
-        // All connections together are more than the coordinator can have.
+        // The connections together exceed the coordinator's limit.
         sandbox.limit_descriptors(192);
     }
     let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --metrics-listen 127.0.0.1:0";
@@ -106,7 +106,7 @@ fn idle_connections_stop_no_caller_and_no_worker() {
             stream
                 .set_read_timeout(Some(Duration::from_secs(60)))
                 .unwrap();
-            // The end, or a reset.
+            // The read returns the end of the stream, or a reset.
             let _ = stream.read_to_end(&mut Vec::new());
         }
         let closed = opened.elapsed();
@@ -119,7 +119,7 @@ fn idle_connections_stop_no_caller_and_no_worker() {
     }
 }
 
-/// Resident memory of a process in bytes.
+/// Returns the resident memory of a process in bytes.
 fn resident(process: u32) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status
@@ -129,14 +129,14 @@ fn resident(process: u32) -> u64 {
     line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() * 1024
 }
 
-/// Returns the chunks of an upload without the last one.
+/// Returns all chunks of an upload except the last one.
 fn unfinished(megabytes: u64) -> impl Iterator<Item = v1::Chunk> {
     let total = megabytes * CHUNK_BYTES as u64;
     (0..megabytes - 1)
         .map(move |i| chunk(vec![i as u8; CHUNK_BYTES], i * CHUNK_BYTES as u64, total))
 }
 
-/// Sends a file of a scene but for its last chunk; returns the sender that keeps the call open.
+/// Sends a scene file without its last chunk. Returns the sender that keeps the call open.
 async fn half_a_file(channel: Channel, megabytes: u64) -> mpsc::Sender<v1::SceneFilePart> {
     use v1::scene_file_part::Part;
     let (send, parts) = mpsc::channel(1);
@@ -155,12 +155,12 @@ async fn half_a_file(channel: Channel, megabytes: u64) -> mpsc::Sender<v1::Scene
             .await
             .unwrap();
     }
-    // All but the last part, which the channel may hold, has been read.
+    // At this point the server has read all parts except the last one, which the channel may hold.
     send.reserve().await.unwrap();
     send
 }
 
-/// Posts a file but for its last megabyte; gives the connection.
+/// Posts a file without its last megabyte. Returns the connection.
 fn half_a_post(pages: &str, megabytes: u64) -> TcpStream {
     let host = pages.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = TcpStream::connect(host).unwrap();
@@ -178,7 +178,7 @@ fn half_a_post(pages: &str, megabytes: u64) -> TcpStream {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn uploads_without_end_take_little_memory() {
+async fn endless_uploads_need_little_memory() {
     let megabytes = if is_full() { 400 } else { 40 };
     let sandbox = Sandbox::new();
     let coordinator = sandbox.coordinator_with_pages("data");
@@ -190,7 +190,7 @@ async fn uploads_without_end_take_little_memory() {
         .await
         .unwrap();
 
-    // Files that do not end, by both ways.
+    // Incomplete files, over gRPC and HTTP.
     let files = (0..4).map(|_| tokio::spawn(half_a_file(channel.clone(), megabytes)));
     let files: Vec<_> = files.collect();
     let posts = (0..2).map(|_| {
@@ -198,7 +198,7 @@ async fn uploads_without_end_take_little_memory() {
         tokio::task::spawn_blocking(move || half_a_post(&pages, megabytes))
     });
     let posts: Vec<_> = posts.collect();
-    // An output under a lease that was never given is rejected before it is sent.
+    // An output with a forged lease is rejected before its bytes are sent.
     let lease = Some(v1::Lease {
         job: 1,
         tile: 0,
@@ -223,7 +223,7 @@ async fn uploads_without_end_take_little_memory() {
         .put_result(ReceiverStream::new(parts))
         .await;
     assert_eq!(refused.unwrap_err().code(), Code::FailedPrecondition);
-    // A chunk that is named again and again makes no scene.
+    // A list that repeats a chunk is not a scene.
     let mut jobs = JobsClient::new(channel.clone());
     let piece = chunk(vec![7; CHUNK_BYTES], 0, CHUNK_BYTES as u64);
     let digest = blake3::hash(&piece.data).as_bytes().to_vec();
@@ -237,7 +237,7 @@ async fn uploads_without_end_take_little_memory() {
     assert!(
         refused
             .message()
-            .contains("at most 16 times as many are accepted"),
+            .contains("the maximum is 16 times their size"),
         "{refused}"
     );
 
@@ -258,13 +258,13 @@ async fn uploads_without_end_take_little_memory() {
     if is_full() {
         assert!(now < 600 << 20, "{now} bytes");
     }
-    // Less than half of the bytes that were sent.
+    // The memory grew by less than half of the sent bytes.
     let sent = (6 * megabytes) << 20;
     assert!(
         now.saturating_sub(before) < sent / 2,
         "{before} bytes, then {now}"
     );
-    // They end with their callers, and the coordinator continues.
+    // The uploads end with their callers, and the coordinator continues.
     drop((held, open));
     assert_eq!(
         tokio::task::block_in_place(|| coordinator.ok("health")).trim(),

@@ -1,11 +1,11 @@
-//! The program's inputs: bad scenes and bad arguments are refused with a helpful message, and generated
-//! scenes are the same every time.
+//! Tests of the program's inputs: bad scenes and bad arguments are rejected with a helpful message, and
+//! generated scenes are the same in every run.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use sightline_tests::Sandbox;
 
-/// A PLY file with this many vertices and faces announced, and these bytes after the header.
+/// Creates a PLY file that announces this number of vertices and faces, with `body` after the header.
 fn ply(format: &str, vertices: u64, faces: u64, body: &[u8]) -> Vec<u8> {
     let header = format!(
         "ply\nformat {format} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty \
@@ -15,7 +15,7 @@ fn ply(format: &str, vertices: u64, faces: u64, body: &[u8]) -> Vec<u8> {
     [header.as_bytes(), body].concat()
 }
 
-/// A GLB with this JSON and this binary chunk.
+/// Creates a GLB with this JSON and this binary chunk.
 fn glb(json: &str, binary: &[u8]) -> Vec<u8> {
     let pad = |bytes: &[u8], with: u8| {
         let mut bytes = bytes.to_vec();
@@ -40,8 +40,8 @@ fn glb(json: &str, binary: &[u8]) -> Vec<u8> {
     out
 }
 
-/// glTF of one triangle without an index list, its three positions in the first buffer; `count` and `bytes`
-/// lie where the caller wants them to.
+/// Creates a glTF of one triangle without an index list. The three positions are in the first buffer, `count`
+/// is the announced number of positions, and `bytes` the announced number of bytes.
 fn gltf(count: u64, bytes: u64) -> String {
     serde_json::json!({
         "asset": {"version": "2.0"},
@@ -63,7 +63,7 @@ fn floats(values: &[f32]) -> Vec<u8> {
 const CORNERS: [f32; 9] = [0., 0., 0., 1., 0., 0., 0., 1., 0.];
 
 #[test]
-fn the_scenes_the_bad_ones_derive_from_are_good() {
+fn base_scenes_of_bad_scenes_are_good() {
     let sandbox = Sandbox::new();
     let face: Vec<u8> = [3u32, 0, 1, 2]
         .iter()
@@ -89,7 +89,7 @@ fn the_scenes_the_bad_ones_derive_from_are_good() {
 }
 
 #[test]
-fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
+fn bad_scenes_are_rejected_with_name_and_remedy() {
     let nan = {
         let mut c = CORNERS;
         c[4] = f32::NAN;
@@ -181,7 +181,7 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         ),
         ("count-total.glb", long_glb),
         ("count-chunk.glb", long_chunk),
-        // Files with the extension of another format, and files that are no scene.
+        // Files with the extension of another format, and files that are not scenes.
         ("wrong.obj", good_ply.clone()),
         ("wrong.ply", good_glb.clone()),
         ("wrong.glb", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".into()),
@@ -217,8 +217,8 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
     }
 }
 
-/// A command that must refuse `file`: exit code 3, and a message with the file's name, the fault and, after a
-/// semicolon, the remedy.
+/// Runs a command that must reject `file`. It has to end with exit code 3, and a message with the file's
+/// name, the fault and, after a semicolon, the remedy.
 #[track_caller]
 fn refused(sandbox: &Sandbox, command: &str, file: &str) {
     let run = sandbox.run(command).code(3);
@@ -237,12 +237,12 @@ fn refused(sandbox: &Sandbox, command: &str, file: &str) {
 }
 
 #[test]
-fn huge_announced_counts_take_no_memory() {
+fn huge_announced_counts_need_no_memory() {
     let sandbox = Sandbox::new();
     sandbox.write("vertices.ply", ply("binary_little_endian", 1 << 40, 1, b""));
     sandbox.write("count.glb", glb(&gltf(1 << 31, 36), &floats(&CORNERS)));
     for file in ["vertices.ply", "count.glb"] {
-        // An address space of 400 MB is far less than either file announces.
+        // The address space of 400 MB is much smaller than the announcement of either file.
         let program = sightline_tests::program().display();
         let shell = format!("ulimit -v 400000; exec '{program}' mesh {file} -o out.ply");
         let run = std::process::Command::new("sh")
@@ -257,7 +257,7 @@ fn huge_announced_counts_take_no_memory() {
 }
 
 #[test]
-fn wrong_usage_is_told_from_bad_input() {
+fn wrong_usage_and_bad_input_have_different_codes() {
     let sandbox = Sandbox::new();
     sandbox.write("box.obj", "v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 3\n");
     let table = [
@@ -309,7 +309,7 @@ fn wrong_usage_is_told_from_bad_input() {
 }
 
 #[test]
-fn generated_scenes_depend_on_their_parameters_alone() {
+fn generated_scenes_depend_only_on_parameters() {
     let sandbox = Sandbox::new();
     let kinds = [
         "forest --trees 3 --triangles-per-tree 200",
@@ -334,7 +334,7 @@ fn generated_scenes_depend_on_their_parameters_alone() {
 }
 
 #[test]
-fn bake_refuses_scenes_that_no_tracer_supports() {
+fn bake_rejects_scenes_that_no_tracer_supports() {
     let sandbox = Sandbox::new();
     let wide = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1e19 0 0\nf 1 2 3\nf 1 2 4\n";
     sandbox.write("wide.obj", wide);
@@ -343,10 +343,10 @@ fn bake_refuses_scenes_that_no_tracer_supports() {
         .code(3)
         .says("wide.obj: triangle 1, vertex 2")
         .says("±1e9");
-    sandbox.write("tiny.obj", "v 0 0 0\nv 1e-12 0 0\nv 0 1e-12 0\nf 1 2 3\n");
+    sandbox.write("tiny.obj", "v 0 0 0\nv 1e-20 0 0\nv 0 1e-20 0\nf 1 2 3\n");
     sandbox
         .run("bake tiny.obj -o x.pvs --backend cpu")
         .code(3)
         .says("tiny.obj")
-        .says("1e-9");
+        .says("1.1e-18");
 }

@@ -1,8 +1,8 @@
-//! The examples of the library on small scenes, and the same bytes from library and command.
+//! Tests of the library's examples on small scenes, and of the same bytes from library and command.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use sightline::{Error, ErrorKind, MeasureReport, Observer};
+use sightline::{CellIndex, Error, ErrorKind, MeasureReport, Observer, TriangleId};
 use sightline_tests::Sandbox;
 
 #[path = "../../sightline/examples/bake.rs"]
@@ -99,8 +99,14 @@ fn explain_rejects_another_scene() {
     let pvs = sightline::open(&path).unwrap();
     let result = sightline::NamedResult::new(&pvs, &path);
     let last = pvs.triangle_count() - 1;
-    let error =
-        sightline::explain(result, Some(&other), (0, last), &sightline::Silent).unwrap_err();
+    let error = sightline::explain(
+        result,
+        Some(&other),
+        CellIndex(0),
+        TriangleId(last),
+        &sightline::Silent,
+    )
+    .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
     assert!(error.to_string().contains("another scene"), "{error}");
 }
@@ -114,7 +120,8 @@ fn cancelled_explain_returns_no_answer() {
     let scene = sightline::read_scene(&source, &Default::default(), &sightline::Silent).unwrap();
     let pvs = sightline::open(&path).unwrap();
     let result = sightline::NamedResult::new(&pvs, &path);
-    let error = sightline::explain(result, Some(&scene), (0, 0), &Cancels).unwrap_err();
+    let error = sightline::explain(result, Some(&scene), CellIndex(0), TriangleId(0), &Cancels)
+        .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Cancelled);
 }
 
@@ -146,7 +153,7 @@ fn resolve_rejects_numbers_out_of_range_and_cancels() {
     assert_eq!(error.kind(), ErrorKind::Cancelled, "{error}");
 }
 
-/// An observer that cancels at once.
+/// An observer that cancels immediately.
 struct Cancels;
 
 impl Observer for Cancels {

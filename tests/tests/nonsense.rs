@@ -1,5 +1,5 @@
-//! Nonsense on every call of the gRPC interface: altered messages, random bytes, data that is no HTTP. The
-//! coordinator stays intact.
+//! Tests of nonsense on every call of the gRPC interface: altered messages, random bytes, and data that is
+//! not HTTP. The coordinator has to stay intact.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -35,7 +35,7 @@ fn chunk(data: &[u8]) -> v1::Chunk {
     }
 }
 
-/// Bytes as they are, in place of messages.
+/// A codec that passes bytes through in place of messages.
 #[derive(Clone, Default)]
 struct Raw;
 
@@ -69,7 +69,7 @@ impl Decoder for Raw {
     }
 }
 
-/// The part of a file descriptor that names its calls.
+/// The part of a file descriptor that contains the names of calls.
 #[derive(Clone, PartialEq, prost::Message)]
 struct Descriptors {
     #[prost(message, repeated, tag = "1")]
@@ -95,7 +95,7 @@ struct Call {
     name: String,
 }
 
-/// Paths of all calls.
+/// Returns the paths of all calls.
 fn calls() -> Vec<String> {
     let mut calls = Vec::new();
     for file in Descriptors::decode(sightline_proto::DESCRIPTORS)
@@ -118,7 +118,7 @@ fn calls() -> Vec<String> {
     calls
 }
 
-/// Well-formed messages, each with its call: the messages to alter.
+/// Returns well-formed messages, each with its call. The test alters these messages.
 fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     use v1::worker_message::Message;
     let digest = spec.scene.clone();
@@ -301,7 +301,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// One alteration of a message.
+/// An alteration of a message.
 #[derive(Clone, Debug)]
 enum Bend {
     Flip(Index, u8),
@@ -312,7 +312,7 @@ enum Bend {
 
 impl Bend {
     fn strategy() -> impl Strategy<Value = Self> {
-        // Mostly small changes, and numbers as large as the wire can write them.
+        // Most alterations are small, or are the largest numbers on the wire.
         let large = prop_oneof![
             Just(vec![0xff, 0xff, 0xff, 0xff, 0x0f]),
             proptest::collection::vec(any::<u8>(), 1..9)
@@ -345,7 +345,7 @@ impl Bend {
     }
 }
 
-/// Makes a call with these frames and reads the answer for a while, whatever it is.
+/// Calls a method with these frames, and reads the answer for up to 200 ms.
 async fn call(channel: &Channel, path: &str, frames: Vec<Vec<u8>>) {
     let mut grpc = tonic::client::Grpc::new(channel.clone());
     grpc.ready().await.unwrap();
@@ -357,12 +357,12 @@ async fn call(channel: &Channel, path: &str, frames: Vec<Vec<u8>>) {
             while let Some(Ok(_)) = answer.next().await {}
         }
     };
-    // The answer to a watch of a job that does not end has no end.
+    // The answer to a watch of an open job has no end.
     let _ = tokio::time::timeout(Duration::from_millis(200), conversation).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nonsense_on_every_call_harms_nobody() {
+async fn nonsense_on_any_call_does_not_affect_coordinator() {
     const BENT: usize = 1500;
     const RANDOM_PER_CALL: usize = 12;
     let sandbox = Sandbox::new();
@@ -385,7 +385,7 @@ async fn nonsense_on_every_call_harms_nobody() {
         .spec
         .unwrap();
 
-    // Always the same cases, so that a failure can be reproduced.
+    // Use the same cases in every run, so that a failure can be reproduced.
     let mut runner = TestRunner::deterministic();
     let (calls, straight) = (calls(), straight(job, &spec));
     for path in &calls {
@@ -434,7 +434,7 @@ async fn nonsense_on_every_call_harms_nobody() {
         &[0xa5; 5000],
     ] {
         let mut stream = std::net::TcpStream::connect(coordinator.address()).unwrap();
-        // The coordinator may close the connection meanwhile.
+        // The coordinator may close the connection in the meantime.
         let _ = stream.write_all(bytes);
     }
 
@@ -442,7 +442,7 @@ async fn nonsense_on_every_call_harms_nobody() {
     let log = coordinator.process.err();
     assert!(!log.contains("panicked"), "{log}");
     assert_eq!(coordinator.ok("health").trim(), "serving");
-    // The jobs that the calls created are cancelled, so that a worker has time for a real one.
+    // Cancel the jobs that the calls created, so that a worker is free for a real one.
     for job in coordinator.json("jobs").as_array().unwrap() {
         if !["done", "failed", "cancelled"].contains(&job["state"].as_str().unwrap()) {
             coordinator.ok(&format!("cancel {}", job["job"]));

@@ -1,5 +1,5 @@
-//! A coordinator whose blobs are in a bucket: whatever happens to the object store, the result is that of a
-//! directory.
+//! Tests of a coordinator whose blobs are in a bucket. Whatever happens to the object store, the result
+//! equals the result with a directory.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,11 +9,12 @@ use serde_json::Value;
 use sightline_test_s3::{KEY, S3Server, SECRET};
 use sightline_tests::{Coordinator, Sandbox, assert_same, wait_for};
 
-/// 69 tiles of some ten milliseconds each, so that a test can act in the middle of a job.
+/// The scene of a job with 69 tiles of about ten milliseconds each, so that a test can act in the middle of
+/// the job.
 const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const JOB: &str = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
 
-/// A folder with the scene and the result of [`JOB`] in one process, and an object store that runs.
+/// Returns a folder with the scene and the result of [`JOB`] in one process, and a running object store.
 fn sandbox() -> (Sandbox, S3Server) {
     let mut sandbox = Sandbox::new();
     sandbox.set("AWS_ACCESS_KEY_ID", KEY);
@@ -28,7 +29,7 @@ fn place(server: &S3Server, cache: &str) -> String {
     format!("s3://farm/one?endpoint={}&cache={cache}", server.endpoint())
 }
 
-/// A coordinator on the store that keeps no copies, so that every blob is read from there.
+/// Starts a coordinator on the object store without a local cache, so that every blob is read from the store.
 fn coordinator<'a>(sandbox: &'a Sandbox, server: &S3Server) -> Coordinator<'a> {
     sandbox.serve(
         "data",
@@ -61,7 +62,7 @@ fn flip(path: &Path, at: usize) {
 }
 
 #[test]
-fn a_bucket_gives_the_bytes_of_a_directory() {
+fn bucket_gives_bytes_of_directory() {
     let (sandbox, server) = sandbox();
     for (data, cache) in [("none", "0"), ("some", "20K"), ("all", "1G")] {
         let place = place(&server, cache).replace("one?", &format!("{data}?"));
@@ -94,7 +95,7 @@ fn a_bucket_gives_the_bytes_of_a_directory() {
 }
 
 #[test]
-fn a_directory_can_be_named() {
+fn blobs_option_accepts_directory() {
     let (sandbox, _) = sandbox();
     let elsewhere = sandbox.path("elsewhere");
     let coordinator = sandbox.serve(
@@ -104,7 +105,7 @@ fn a_directory_can_be_named() {
     let job = coordinator.submit(JOB);
     let _worker = coordinator.worker();
     finished(&coordinator, &sandbox, job, "in a directory with a name");
-    // The third is the identity of the store.
+    // The third file is the identity of the store.
     wait_for("the scene and the result only", || {
         (sandbox.files_below("elsewhere") == 3).then_some(())
     });
@@ -112,14 +113,14 @@ fn a_directory_can_be_named() {
 }
 
 #[test]
-fn a_store_that_is_killed_in_the_middle_is_awaited() {
+fn coordinator_waits_for_killed_store() {
     let (sandbox, mut server) = sandbox();
     let coordinator = coordinator(&sandbox, &server);
     let job = coordinator.submit(JOB);
     let _workers = [coordinator.worker(), coordinator.worker()];
     coordinator.until(job, "the job's middle", in_the_middle);
     server.kill();
-    // Long enough for tiles to end meanwhile.
+    // The pause is long enough for tiles to end.
     std::thread::sleep(std::time::Duration::from_millis(700));
     let shown = coordinator.json(&format!("show {job}"));
     assert_eq!(shown["state"], "running", "{shown}");
@@ -128,7 +129,7 @@ fn a_store_that_is_killed_in_the_middle_is_awaited() {
 }
 
 #[test]
-fn a_coordinator_goes_on_with_what_is_in_the_bucket() {
+fn coordinator_continues_from_bucket() {
     let (sandbox, server) = sandbox();
     let first = coordinator(&sandbox, &server);
     let job = first.submit(JOB);
@@ -142,7 +143,7 @@ fn a_coordinator_goes_on_with_what_is_in_the_bucket() {
 }
 
 #[test]
-fn damaged_objects_are_found_and_made_again() {
+fn damaged_objects_are_detected_and_replaced() {
     let (sandbox, server) = sandbox();
     let coordinator = coordinator(&sandbox, &server);
     let job = coordinator.submit(JOB);
@@ -154,7 +155,7 @@ fn damaged_objects_are_found_and_made_again() {
         panic!("one scene")
     };
     flip(scene, 100);
-    // The next submission of the scene replaces the damaged object.
+    // The next submission uploads the scene again and replaces the damaged object.
     assert_eq!(coordinator.submit(JOB), job);
     assert!(
         coordinator.process.err().contains("is damaged"),
@@ -167,7 +168,7 @@ fn damaged_objects_are_found_and_made_again() {
     });
     worker.signal("TERM");
     worker.end().code(0);
-    // Packs that are damaged count as lost: whoever needs one computes it again.
+    // Damaged packs count as lost: a worker that needs one computes it again.
     let mut flipped = 0;
     for object in server
         .objects("farm", "")
@@ -188,7 +189,7 @@ fn damaged_objects_are_found_and_made_again() {
 }
 
 #[test]
-fn a_place_that_cannot_be_used_is_refused_at_the_start() {
+fn unusable_blob_location_is_rejected_at_start() {
     let (mut sandbox, server) = sandbox();
     let endpoint = server.endpoint();
     let refused = |sandbox: &Sandbox, place: &str, text: &str| {
@@ -200,12 +201,8 @@ fn a_place_that_cannot_be_used_is_refused_at_the_start() {
             run.err
         );
     };
-    refused(&sandbox, "farm", "dir:PATH or at s3://");
-    refused(
-        &sandbox,
-        "s3://farm?secret=hush",
-        "there is no option 'secret'",
-    );
+    refused(&sandbox, "farm", "dir:PATH nor s3://");
+    refused(&sandbox, "s3://farm?secret=hush", "the option 'secret'");
     refused(
         &sandbox,
         "s3://farm?endpoint=http://192.0.2.1",
@@ -219,7 +216,7 @@ fn a_place_that_cannot_be_used_is_refused_at_the_start() {
     refused(
         &sandbox,
         &format!("s3://other?endpoint={endpoint}"),
-        "there is no bucket for s3://other",
+        "the bucket of s3://other",
     );
     sandbox.set("AWS_SECRET_ACCESS_KEY", "hush");
     refused(

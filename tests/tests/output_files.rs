@@ -1,4 +1,4 @@
-//! Files that commands write for users: the order of the system calls, and writes that fail.
+//! Tests of files that commands write for users: the order of the system calls, and failing writes.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
@@ -68,12 +68,12 @@ const WRITERS: [(&str, &[&str]); 18] = [
     ),
 ];
 
-/// Returns the quoted strings of a call.
+/// Returns the quoted strings in a call.
 fn strings(call: &SystemCall) -> Vec<&str> {
     call.text.split('"').skip(1).step_by(2).collect()
 }
 
-/// Returns the path of a file that the call opened for creation.
+/// Returns the path of the file that a call created, if any.
 fn created(call: &SystemCall) -> Option<&Path> {
     let creates = call.name == "creat" || call.name == "openat" && call.text.contains("O_CREAT");
     let (_, result) = call.text.rsplit_once(" = ")?;
@@ -81,7 +81,7 @@ fn created(call: &SystemCall) -> Option<&Path> {
     (creates && call.succeeded()).then_some(Path::new(path))
 }
 
-/// Checks that a renamed file was synced before, and its folder afterwards.
+/// Checks that a renamed file was synced before the rename, and its folder afterwards.
 #[track_caller]
 fn assert_synced(calls: &[SystemCall], folder: &Path, file: &str, line: &str) {
     let target = folder.join(file);
@@ -102,7 +102,7 @@ fn assert_synced(calls: &[SystemCall], folder: &Path, file: &str, line: &str) {
             continue;
         }
         renames += 1;
-        // Without a dot in the middle, as strace writes the paths of descriptors.
+        // Remove dots in the middle of the path, as in strace's paths of descriptors.
         let from: PathBuf = folder.join(from).components().collect();
         let before = |c: &&SystemCall| syncs(&from, c) && c.returned < call.begun;
         assert!(
@@ -125,7 +125,7 @@ fn assert_synced(calls: &[SystemCall], folder: &Path, file: &str, line: &str) {
 fn commands_sync_files_and_folders_in_order() {
     let sandbox = Sandbox::new();
     let folder = std::fs::canonicalize(sandbox.path("")).unwrap();
-    // Records of the farm and caches have their own rules.
+    // Records of the farm and caches have separate rules.
     let others: Vec<PathBuf> = ["data", "cache", "calls"]
         .iter()
         .map(|name| folder.join(name))
@@ -184,7 +184,8 @@ fn failed_writes_leave_previous_files() {
         ("view maze.pvs maze.glb -o new.html", "new.html"),
     ] {
         let old = std::fs::read(sandbox.path(file)).ok();
-        // Files end after one block, as on a full disk; the shell keeps the signal from ending the program.
+        // Files end after one block, as on a full disk. The shell ignores the signal that would end the
+        // program.
         let limited = format!("trap '' XFSZ; ulimit -f 1; exec \"$0\" {line}");
         let mut command = Command::new("sh");
         command

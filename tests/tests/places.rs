@@ -1,5 +1,5 @@
-//! Where viewpoints can be: boxes, meshes, points and what they reach, from the flags to results and
-//! measures.
+//! Tests of the restrictions of viewpoints: boxes, meshes, points and the space that points reach, from the
+//! flags to results and measurements.
 
 #![allow(
     clippy::unwrap_used,
@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 
 use sightline_tests::{Dump, Sandbox, assert_same};
 
-/// Faces of an OBJ file.
+/// A builder of OBJ files.
 #[derive(Default)]
 struct Obj {
     text: String,
@@ -29,7 +29,7 @@ impl Obj {
         self.vertices += 4;
     }
 
-    /// The surface of a box, wound to be seen from outside.
+    /// Adds the surface of a box, with the fronts outside.
     fn block(&mut self, name: &str, [x0, y0, z0]: [f32; 3], [x1, y1, z1]: [f32; 3]) {
         writeln!(self.text, "o {name}").unwrap();
         self.quad([[x0, y0, z0], [x0, y0, z1], [x0, y1, z1], [x0, y1, z0]]);
@@ -41,7 +41,7 @@ impl Obj {
     }
 }
 
-/// A closed hall of 8×2×2 with a thick wall across at x = 3.6 to 4.4, which may have a door.
+/// Returns a closed hall of 8×2×2 with a thick wall across it at x = 3.6 to 4.4, with or without a door.
 fn hall(door: bool) -> String {
     let mut o = Obj::default();
     o.block("hall", [0.0, 0.0, 0.0], [8.0, 2.0, 2.0]);
@@ -64,14 +64,14 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// For each of the eight columns of cells along x, whether any of its cells is reached.
+/// Returns for each of the eight columns of cells along x true if any of its cells is reached.
 fn columns(dump: &Dump) -> Vec<bool> {
     let column = |x: usize| dump.cells.iter().filter(move |c| c.min[0] as usize == x);
     (0..8).map(|x| column(x).any(|c| c.reached)).collect()
 }
 
 #[test]
-fn only_what_is_reached_is_baked() {
+fn only_reached_cells_are_baked() {
     let sandbox = sandbox();
     let reach = "--reachable-from 1,1,1";
     sandbox.ok(&format!(
@@ -103,11 +103,11 @@ fn only_what_is_reached_is_baked() {
         .run("query shut.pvs 7 1 1")
         .code(3)
         .says("no viewpoint");
-    // Viewpoints of a measure are where viewpoints are, inside the hall and not in its wall.
+    // The viewpoints of a measurement are inside the hall and not in its wall.
     let report = sandbox.json("measure shut.obj shut.pvs --viewpoints 40 --resolution 32");
     assert_eq!(report["frames"], 40);
     assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{report}");
-    // A cell may look at cells without viewpoints, but not through the wall.
+    // A cell may see cells without viewpoints, but not through the wall.
     let pairs = sandbox.json("query shut.pvs 1 1 1 --sees 7 1 1");
     assert_eq!(pairs["sees"], false);
     for (seed, why) in [
@@ -124,7 +124,7 @@ fn only_what_is_reached_is_baked() {
 }
 
 #[test]
-fn viewpoints_are_between_walls_within_cells_too() {
+fn walls_restrict_viewpoints_within_cells() {
     let sandbox = sandbox();
     // The wall fills a part of both cells.
     let job = |file: &str, more: &str| {
@@ -148,7 +148,7 @@ fn viewpoints_are_between_walls_within_cells_too() {
         [walls.cells[0].reached, walls.cells[1].reached],
         [true, false]
     );
-    // Seen are five walls of the hall and one side of the wall across, two triangles each.
+    // The set contains five walls of the hall and one side of the wall across, with two triangles each.
     assert_eq!(
         walls.cells[0].visible.len(),
         12,
@@ -160,9 +160,9 @@ fn viewpoints_are_between_walls_within_cells_too() {
         "{:?}",
         whole.cells[0].visible
     );
-    // Faces of the cells lie in the planes of walls, behind which there is something.
+    // The faces of the cells are in the planes of walls, and behind the walls is another triangle.
     let sky = "v 0 0 5\nv 8 0 5\nv 8 2 5\nv 0 2 5\nf -4 -3 -2 -1\n";
-    // The hall is wound to be seen from inside, or its inside would be taken for a solid's.
+    // The fronts of the hall are inside. Otherwise its inside would count as the inside of a solid.
     let turned = |line: &str| match line.strip_prefix("f ") {
         Some(face) => format!("f {}", face.split(' ').rev().collect::<Vec<_>>().join(" ")),
         None => line.to_owned(),
@@ -204,7 +204,7 @@ fn viewpoints_are_between_walls_within_cells_too() {
         "a cluster",
     );
 
-    // Without the face at z = 2 there is a way out.
+    // Without the face at z = 2 a way out exists.
     let mut open: Vec<&str> = Vec::new();
     let text = hall(false);
     let roof = text
@@ -226,7 +226,7 @@ fn viewpoints_are_between_walls_within_cells_too() {
 }
 
 #[test]
-fn portals_show_what_walls_enclose_and_the_way_out() {
+fn portals_command_reports_enclosure_and_way_out() {
     let sandbox = sandbox();
     let reach = "--reachable-from 1,1,1";
     let shut = sandbox.json(&format!("portals shut.obj {reach} -o cells.glb"));
@@ -241,7 +241,7 @@ fn portals_show_what_walls_enclose_and_the_way_out() {
     );
     assert!(shut["way_out"].is_null());
     let open = sandbox.json(&format!("portals open.obj {reach} -o cells.glb"));
-    // All but the wall below and above the door.
+    // The share excludes only the wall below and above the door.
     assert!(
         (open["share"].as_f64().unwrap() - (1.0 - 0.1 * 0.8)).abs() < 1e-6,
         "{open}"
@@ -250,7 +250,7 @@ fn portals_show_what_walls_enclose_and_the_way_out() {
     sandbox.ok("bake cells.glb -o look.pvs --cells 1x1x1");
     let info = sandbox.ok("info look.pvs");
     assert!(info.contains("cell ") && info.contains("portal "), "{info}");
-    // Without a point: both rooms, and the inside of the wall.
+    // Without a point, the command finds both rooms and the inside of the wall.
     let spaces = sandbox.json("portals shut.obj");
     let shares: Vec<f64> = spaces["enclosed"]
         .as_array()
@@ -308,13 +308,13 @@ fn exact_cells_without_viewpoints_are_empty_and_verified() {
     );
     let report = sandbox.ok("verify shut.obj exact.pvs");
     assert!(
-        report.contains("no viewpoint is in 16 of the cells"),
+        report.contains("16 of the cells contain no viewpoint"),
         "{report}"
     );
 }
 
 #[test]
-fn boxes_meshes_and_points_say_where_viewpoints_are() {
+fn boxes_meshes_and_points_restrict_viewpoints() {
     let sandbox = sandbox();
     let bake = |name: &str, flags: &str| -> Vec<bool> {
         sandbox.ok(&format!(
@@ -327,7 +327,7 @@ fn boxes_meshes_and_points_say_where_viewpoints_are() {
         "--cells 8x2x2 --view-box 0,0,0,1,2,2 --view-box 7,0,0,8,2,2",
     );
     assert_eq!(two, [true, false, false, false, false, false, false, true]);
-    // A closed volume in the fourth and fifth column, and one that is open.
+    // A closed volume in the fourth and fifth column, and an open one.
     let mut volume = Obj::default();
     volume.block("volume", [3.1, 0.2, 0.2], [4.9, 1.8, 1.8]);
     sandbox.write("volume.obj", &volume.text);
@@ -344,7 +344,7 @@ fn boxes_meshes_and_points_say_where_viewpoints_are() {
         ))
         .code(3)
         .says("not closed");
-    // A floor to walk on in the first two columns; the eyes are in the upper half.
+    // A floor for walking in the first two columns. The eyes are in the upper half.
     let mut floor = Obj::default();
     floor.quad([
         [0.1, 0.0, 0.1],
@@ -368,7 +368,7 @@ fn boxes_meshes_and_points_say_where_viewpoints_are() {
         sandbox.json("info walk.pvs")["info"]["spec"]["visibility"]["up"],
         "y"
     );
-    // Telemetry: one place often, one rarely, one never.
+    // Telemetry with one frequent, one rare and one unused viewpoint.
     sandbox.write("eyes.txt", "0.5 0.5 0.5 9\n2.5 0.5 0.5 1\n6.5 0.5 0.5 0\n");
     let points = bake("points", &format!("{CELLS} --viewpoints eyes.txt"));
     assert_eq!(
@@ -411,7 +411,7 @@ fn boxes_meshes_and_points_say_where_viewpoints_are() {
 }
 
 #[test]
-fn lines_end_at_the_distance() {
+fn lines_end_at_maximum_distance() {
     let sandbox = sandbox();
     let seen = |name: &str, flags: &str| -> Vec<usize> {
         sandbox.ok(&format!(
@@ -435,7 +435,7 @@ fn lines_end_at_the_distance() {
             near.iter().zip(&all).all(|(near, all)| near <= all),
             "{name}"
         );
-        // The first column of cells is farther than that from the far end's wall.
+        // The distance between the first column of cells and the wall at the far end exceeds the limit.
         assert!(
             near.iter().sum::<usize>() < all.iter().sum::<usize>(),
             "{name}"
@@ -456,9 +456,9 @@ fn lines_end_at_the_distance() {
         .says("certificates cannot be combined with far");
 }
 
-/// The marks of many cells exceed what a job's record may hold.
+/// Tests marks of many cells, which exceed the maximum size of a job's record.
 #[test]
-fn scattered_viewpoints_are_baked_and_a_solid_beside_others_is_no_place() {
+fn scattered_viewpoints_are_baked_and_solids_hold_no_viewpoints() {
     let sandbox = sandbox();
     let points: String = (0..900)
         .map(|i| {
@@ -476,7 +476,7 @@ fn scattered_viewpoints_are_baked_and_a_solid_beside_others_is_no_place() {
     sandbox.ok(&format!("{bake} -o many.pvs --data-dir many"));
     let dump = sandbox.dump("many.pvs");
     assert!(dump.cells.iter().any(|c| !c.visible.is_empty()));
-    // Two boxes that share a face, so that neither is a closed surface by itself.
+    // Two boxes share a face, so that neither is a closed surface by itself.
     let mut o = Obj::default();
     o.block("hall", [0.0, 0.0, 0.0], [8.0, 2.0, 2.0]);
     o.block("pier", [3.0, 0.5, 0.5], [4.0, 1.5, 1.5]);

@@ -1,10 +1,11 @@
-//! A tile that kills its workers, among fifty good ones: by an abort, by the kernel for memory, by an exit.
+//! A test of a tile that kills its workers, among fifty good ones: by an abort, by the kernel for memory, or
+//! by an exit.
 //!
 //! ```text
 //! cargo test --workspace --test poison -- --nocapture
 //! ```
-//! Each worker is a separate process, which the test starts again under its name when the process ends. The
-//! test prints the time of the job with the bad tile and without.
+//! Each worker is a separate process, which the test starts again under the same name when the process ends.
+//! The test prints the times of the job with and without the bad tile.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,21 +25,21 @@ mod simulated;
 
 use simulated::Work;
 
-/// The job: 51 tiles of a cell.
+/// The job: 51 tiles of one cell each.
 const JOB: &str =
     "rooms.glb --cells 51x1x1 --block-cells 1 --backend cpu --cell-to-cell off --seed";
-/// The tile that kills.
+/// The number of the tile that kills its workers.
 const BAD: u32 = 20;
-/// Environment variables of the process of a worker: the address, the name, the way to die.
+/// The environment variables of a worker's process: the address, the name, and the way to die.
 const ADDRESS: &str = "POISON_ADDRESS";
 const NAME: &str = "POISON_NAME";
 const END: &str = "POISON_END";
-/// Memory of a worker in its control group, in bytes.
+/// The memory limit of a worker's control group, in bytes.
 const MEMORY: u64 = 256 << 20;
-/// Time of a tile.
+/// The computation time of a tile.
 const TILE: Duration = Duration::from_millis(200);
 
-/// The process of a worker, which the other test starts.
+/// Runs a worker. The other test starts this test as a separate process.
 #[test]
 #[ignore = "the process of a worker"]
 fn worker_process() {
@@ -60,7 +61,8 @@ fn worker_process() {
     };
     runtime.block_on(simulated::work_with(
         &address,
-        (&name, instance),
+        &name,
+        instance,
         &Work::default(),
         &before,
     ));
@@ -89,11 +91,11 @@ fn die(end: &str) {
     }
 }
 
-/// A control group that bounds the memory of its processes. Dropping removes it.
+/// A control group that limits the memory of its processes. Dropping it removes the group.
 struct Bounded(PathBuf);
 
 impl Bounded {
-    /// Creates a group; `None` if this machine has no such groups, or the test may not create one.
+    /// Creates a group. Returns `None` if this machine has no such groups, or the test may not create one.
     fn new(name: &str) -> Option<Self> {
         let name = format!("sightline-{}-{name}", std::process::id());
         for (root, limit) in [("memory", "memory.limit_in_bytes"), ("", "memory.max")] {
@@ -117,7 +119,7 @@ impl Bounded {
 
 impl Drop for Bounded {
     fn drop(&mut self) {
-        // The kernel may hold the group for a moment after its last process.
+        // The kernel may keep the group for a moment after its last process.
         for _ in 0..100 {
             if std::fs::remove_dir(&self.0).is_ok() {
                 return;
@@ -144,8 +146,8 @@ fn start(coordinator: &Coordinator<'_>, name: &str, end: &str, group: Option<&Bo
     child
 }
 
-/// Runs a job with three workers that are started again whenever they end; returns its time and the number of
-/// ends.
+/// Runs a job with three workers that are started again whenever they end. Returns the duration of the job
+/// and the number of ends.
 fn run(
     coordinator: &Coordinator<'_>,
     job: u64,
@@ -164,7 +166,7 @@ fn run(
                         std::thread::sleep(Duration::from_millis(5));
                     }
                     if over.load(Ordering::Relaxed) {
-                        // It may have ended by itself.
+                        // The worker may have ended by itself.
                         let _ = worker.kill();
                     } else {
                         ends.fetch_add(1, Ordering::Relaxed);
@@ -180,7 +182,7 @@ fn run(
 }
 
 #[test]
-fn tile_that_kills_its_workers_is_set_aside_among_fifty_good_ones() {
+fn tile_that_kills_workers_is_set_aside() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 2000 -o rooms.glb");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -214,6 +216,6 @@ fn tile_that_kills_its_workers_is_set_aside_among_fifty_good_ones() {
         assert_eq!((done, aside), (50, 1), "{end}");
         assert!((3..=5).contains(&ends), "{end}: {ends} workers ended");
         let tiles = coordinator.ok(&format!("show {job} --tiles"));
-        assert!(tiles.contains("without a word"), "{tiles}");
+        assert!(tiles.contains("connection of the worker ended"), "{tiles}");
     }
 }

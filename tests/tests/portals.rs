@@ -1,5 +1,5 @@
-//! Bakes by portals: in one process and in a cluster with failures, verified, looked at from points, and
-//! refused where portals cannot serve.
+//! Tests of bakes by portals: in one process and in a cluster with failures, verified, queried from points,
+//! and rejected for unsupported options.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,7 +9,7 @@ use sightline_tests::{Sandbox, across, assert_same, house};
 const SCENE: &str = "generate rooms --grid 4x3 --triangles 4000 -o rooms.glb";
 const JOB: &str = "rooms.glb --cells 8x2x6 --block-cells 2 --method portals";
 
-/// A folder with the scene in it, and with `alone.pvs`, the result of [`JOB`] in one process.
+/// Returns a folder with the scene, and with `alone.pvs`, the result of [`JOB`] in one process.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
@@ -18,7 +18,7 @@ fn sandbox() -> Sandbox {
 }
 
 #[test]
-fn a_cluster_that_is_disturbed_hides_the_same_to_the_last_byte() {
+fn disturbed_cluster_gives_same_bytes() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
@@ -37,13 +37,13 @@ fn a_cluster_that_is_disturbed_hides_the_same_to_the_last_byte() {
 }
 
 #[test]
-fn sets_hold_the_exact_ones_and_say_what_has_no_witness() {
+fn sets_contain_exact_sets_and_report_missing_witnesses() {
     let sandbox = sandbox();
     let header = &sandbox.dump("alone.pvs").header;
     assert_eq!(header["method"], "portals");
     let words = sandbox.ok("info alone.pvs");
     assert!(
-        words.contains("hidden by walls") && words.contains("have no witness"),
+        words.contains("pairs of a cell and a triangle") && words.contains("have no witness"),
         "{words}"
     );
     let report = sandbox.json("verify rooms.glb alone.pvs --sample 200");
@@ -58,7 +58,7 @@ fn sets_hold_the_exact_ones_and_say_what_has_no_witness() {
 }
 
 #[test]
-fn what_is_looked_at_is_in_the_cells_set_and_bad_views_are_refused() {
+fn look_returns_part_of_cell_set_and_rejects_bad_views() {
     let sandbox = sandbox();
     let dump = sandbox.dump("alone.pvs");
     let [lo, hi] = dump.view_box();
@@ -116,7 +116,7 @@ fn what_is_looked_at_is_in_the_cells_set_and_bad_views_are_refused() {
 }
 
 #[test]
-fn what_portals_do_not_do_is_refused() {
+fn unsupported_options_of_portals_are_rejected() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let refused = |flags: &str, why: &str| {
@@ -141,7 +141,7 @@ const BOXES: &str =
     "rooms.glb --cells walls:30 --reachable-from 2,1.5,3 --method exact --backend cpu";
 
 #[test]
-fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
+fn boxes_along_walls_are_reproducible_and_support_look() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     sandbox.ok(&format!("bake {BOXES} -o alone.pvs --data-dir data-alone"));
@@ -164,7 +164,7 @@ fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
         30
     );
     assert_eq!(dump.cells.len(), 30);
-    // The sets are exact, and look-ups have the portals.
+    // The sets are exact, and look-ups use the portals.
     let eyes =
         json!({"id": 1, "eye": [2, 1.5, 3], "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
     sandbox.write("eyes.jsonl", format!("{eyes}\n"));
@@ -192,7 +192,7 @@ fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
 }
 
 #[test]
-fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
+fn boxes_along_walls_reject_options_for_grids() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let refused = |flags: &str, why: &str| {
@@ -216,7 +216,7 @@ fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
 }
 
 #[test]
-fn a_door_can_be_shut_at_run_time() {
+fn door_can_be_shut_at_run_time() {
     let sandbox = Sandbox::new();
     // A wall at x = 2; a door fills y from 0 to 1.
     let wall = across(2.0, [1.0, 2.0], [0.0, 2.0]);
@@ -228,7 +228,7 @@ fn a_door_can_be_shut_at_run_time() {
     sandbox.ok(
         "bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data",
     );
-    // What fills no opening can be no door.
+    // An object that fills no opening cannot be a door.
     let picture = "o picture\nv 1 1.5 1\nv 1 1.6 1\nv 1 1.5 1.1\nf -3 -2 -1\n";
     sandbox.write(
         "art.obj",
@@ -240,7 +240,7 @@ fn a_door_can_be_shut_at_run_time() {
         .run(&format!("{art} -o art.pvs --data-dir data"))
         .code(0)
         .says("note: picture cannot be shut at run time");
-    // Without the door the rooms are apart, and an eye in the other one is outside of the walls.
+    // If the door is shut, the rooms are separate, and an eye in the other room is outside the walls.
     sandbox.ok(
         "bake house.obj --cells 1x1x1 --reachable-from 1,0.5,1 --method portals -o one.pvs --data-dir data",
     );

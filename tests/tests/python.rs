@@ -1,4 +1,4 @@
-//! The Python package: its own tests, run with the package and the program of this build.
+//! Runs the tests of the Python package with the package and the program of this build.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -38,36 +38,36 @@ fn pytest(file: &str) {
 }
 
 #[test]
-fn meshes_are_taken_or_refused_in_a_sentence() {
+fn meshes_are_accepted_or_rejected_with_sentence() {
     pytest("test_mesh.py");
 }
 
 #[test]
-fn bake_measure_and_verify_do_what_the_commands_do() {
+fn bake_measure_and_verify_match_commands() {
     pytest("test_work.py");
 }
 
 #[test]
-fn a_result_says_what_the_commands_say_of_it() {
+fn result_matches_commands() {
     pytest("test_pvs.py");
 }
 
 #[test]
-fn a_client_submits_follows_and_fetches() {
+fn client_submits_follows_and_fetches() {
     pytest("test_client.py");
 }
 
 #[test]
-fn the_package_is_typed() {
+fn package_is_typed() {
     pytest("test_types.py");
 }
 
 #[test]
-fn the_notebook_ends_in_a_plot() {
+fn notebook_ends_in_plot() {
     pytest("test_notebook.py");
 }
 
 #[test]
-fn the_example_of_the_readme_runs() {
+fn example_of_readme_runs() {
     pytest("test_readme.py");
 }

@@ -1,5 +1,5 @@
-//! Readers of results beside the Rust one: they read the same sets from the same files, and refuse the same
-//! damaged ones.
+//! Tests of the readers of results in other languages. They read the same sets from the same files as the
+//! Rust reader, and reject the same damaged files.
 
 #![allow(
     clippy::unwrap_used,
@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 use serde_json::{Value, json};
 use sightline_tests::{Browser, Sandbox, in_ci, libraries, python, python_folder};
 
-/// Results of every kind: a name and the arguments of its bake.
+/// The names and bake arguments of results of every kind.
 const RESULTS: [(&str, &str); 12] = [
     ("grid", "rooms.glb --cells 4x2x3 --backend cpu"),
     ("one", "rooms.glb --cells 1x1x1 --backend cpu"),
@@ -58,7 +58,7 @@ const RESULTS: [(&str, &str); 12] = [
     ),
 ];
 
-/// A folder with all results, and what the Rust reader says of each.
+/// Bakes all results in a folder. Returns the description of each from the Rust reader.
 fn results(sandbox: &Sandbox) -> Vec<Value> {
     sandbox.ok("generate rooms --grid 3x2 --triangles 1500 -o rooms.glb");
     let said = |(name, job): (&str, &str)| {
@@ -84,7 +84,7 @@ fn results(sandbox: &Sandbox) -> Vec<Value> {
     RESULTS.into_iter().map(said).collect()
 }
 
-/// Damaged versions of a file, each of which the Rust reader refuses.
+/// Returns damaged versions of a file, each of which the Rust reader rejects.
 fn damaged(sandbox: &Sandbox, whole: &[u8]) -> Vec<Vec<u8>> {
     let mut all = vec![
         Vec::new(),
@@ -107,7 +107,7 @@ fn damaged(sandbox: &Sandbox, whole: &[u8]) -> Vec<Vec<u8>> {
     all
 }
 
-/// The JavaScript that says of a result what [`results`] says.
+/// The JavaScript that describes a result in the format of [`results`].
 const SAY: &str = "const say = (name, bytes) => {
     const p = Pvs.parse(bytes), cells = [...Array(p.cells).keys()];
     return { name, triangles: p.triangles, method: p.method, cells: p.cells,
@@ -117,8 +117,8 @@ const SAY: &str = "const say = (name, bytes) => {
       try { Pvs.parse(bytes); return false; } catch (e) { return e.name === 'PvsError'; }
     };";
 
-/// A folder with all results and damaged files, what the Rust reader says of the results, and the number of
-/// the damaged files.
+/// Returns a folder with all results and damaged files, the descriptions from the Rust reader, and the number
+/// of damaged files.
 fn shared() -> &'static (Sandbox, Vec<Value>, usize) {
     static SHARED: OnceLock<(Sandbox, Vec<Value>, usize)> = OnceLock::new();
     SHARED.get_or_init(|| {
@@ -139,7 +139,7 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// Runs a command that must succeed; `None` where the program is missing, which in CI is a failure.
+/// Runs a command that must succeed. Returns `None` if the program is missing, which is a failure on CI.
 fn run(command: &mut Command) -> Option<String> {
     match command.output() {
         Ok(out) => {
@@ -159,8 +159,7 @@ fn run(command: &mut Command) -> Option<String> {
     }
 }
 
-/// Runs a reader's program, which says of all results and damaged files what they are, and checks what it
-/// says.
+/// Runs the program of a reader on all results and damaged files, and checks its descriptions.
 fn ask(command: &mut Command) {
     let (sandbox, expected, damaged) = shared();
     let command = command
@@ -173,7 +172,7 @@ fn ask(command: &mut Command) {
 }
 
 #[test]
-fn c_reads_the_same_sets_and_refuses_the_same_files() {
+fn c_reads_same_sets_and_rejects_same_files() {
     let (sandbox, ..) = shared();
     let folder = root().join("readers/c");
     for (name, library) in [
@@ -200,7 +199,7 @@ fn c_reads_the_same_sets_and_refuses_the_same_files() {
 }
 
 #[test]
-fn csharp_reads_the_same_sets_and_refuses_the_same_files() {
+fn csharp_reads_same_sets_and_rejects_same_files() {
     let (sandbox, ..) = shared();
     let folder = root().join("readers/csharp");
     let say = sandbox.path("Say.exe");
@@ -219,13 +218,13 @@ fn csharp_reads_the_same_sets_and_refuses_the_same_files() {
 }
 
 #[test]
-fn python_reads_the_same_sets_and_refuses_the_same_files() {
+fn python_reads_same_sets_and_rejects_same_files() {
     let Some(python) = python() else { return };
     ask(Command::new(python).arg(python_folder().join("tests/say.py")));
 }
 
 #[test]
-fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
+fn javascript_reads_same_sets_and_rejects_same_files() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .unwrap()
@@ -242,7 +241,7 @@ fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
              console.log(JSON.stringify({{ said: {names:?}.map((n) => say(n, fs.readFileSync(n + '.pvs'))),
                refused: [...Array({}).keys()].map((k) =>
                  refused(fs.readFileSync('damaged-' + k + '.pvs'))) }}));
-             // By ranges, from a server that has them.
+             // Read by ranges, from a server that supports them.
              let bytes = 0;
              globalThis.fetch = async (url, {{ headers }}) => {{
                const all = fs.readFileSync(url), [, from, to] = /bytes=(\\d+)-(\\d+)/.exec(headers.Range);
@@ -265,7 +264,7 @@ fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
             damaged
         ),
     );
-    // Node where it is; browsers are asked below.
+    // Use Node if it is installed; the test of browsers is below.
     match Command::new("node")
         .arg(sandbox.path("read.mjs"))
         .current_dir(sandbox.path("."))
@@ -304,7 +303,7 @@ fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
     assert_eq!(browser.messages(), Vec::<String>::new());
 }
 
-/// Panics unless a reader says the same of all results and refuses all damaged files.
+/// Panics unless a reader describes all results in the same way and rejects all damaged files.
 fn check(answer: &Value, expected: &[Value], damaged: usize) {
     for (said, expected) in answer["said"].as_array().unwrap().iter().zip(expected) {
         assert_eq!(said, expected, "{}", expected["name"]);

@@ -1,11 +1,11 @@
-//! How much two coordinators on one database carry: simulated workers, half of them at the one that leads and
-//! half at the one that stands by, that take tiles and send outputs as fast as they can.
+//! A load test of two coordinators on one database. Half of the simulated workers connect to the leader and
+//! half to the standby; all lease tiles and send outputs as fast as they can.
 //!
 //! ```text
 //! cargo test --workspace --test replica_load -- --ignored --nocapture
 //! ```
-//! The whole way is in the figure: gRPC, the passing on, the outputs' checks and files, and the database with
-//! its disk. `SIGHTLINE_WORKERS` changes the number of workers (32).
+//! The figure includes gRPC, the forwarding, the checks and files of outputs, and the database with its disk.
+//! `SIGHTLINE_WORKERS` changes the number of workers (default: 32).
 
 #![allow(
     clippy::unwrap_used,
@@ -26,7 +26,8 @@ use simulated::Work;
 
 const JOB: &str = "rooms.glb --cells 64x64x1 --block-cells 1 --backend cpu";
 const TILES: u64 = 4096;
-/// The last tiles are computed twice, which would count twice.
+/// The number of tiles at which the measurement ends. The last tiles are computed twice, and would count
+/// twice.
 const ENOUGH: u64 = TILES * 9 / 10;
 
 fn replica<'a>(sandbox: &'a Sandbox, name: &str) -> Coordinator<'a> {
@@ -79,7 +80,7 @@ fn leases_and_commits_a_second_at_two_coordinators() {
     );
     assert!(second.count(job, "tiles_done") >= ENOUGH);
     drop(runtime);
-    // The end of the leader, and the first answer of the one after it.
+    // Measure the time from the end of the leader to the first answer of its successor.
     let ended = Instant::now();
     first.process.kill();
     wait_for("an answer", || {

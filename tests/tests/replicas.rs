@@ -1,5 +1,7 @@
-//! Several coordinators on one database: whichever is killed, and at any time, and whether or not the
-//! database is restarted meanwhile, the job ends, and its result is that of a single process.
+//! Tests of several coordinators on one database.
+//!
+//! If any of them is killed at any time, and even if the database restarts, the job ends. Its result equals
+//! the result of a single process.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,11 +10,11 @@ use std::net::{TcpListener, TcpStream};
 use serde_json::Value;
 use sightline_tests::{Balancer, Coordinator, Postgres, Run, Sandbox, ask, assert_same, wait_for};
 
-/// As in `cluster.rs`: 69 tiles of some ten milliseconds each.
+/// The scene of `cluster.rs`, with 69 tiles of about ten milliseconds each.
 const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const JOB: &str = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
 
-/// A folder with the scene and the result of a calm run in one process, on the store on disk.
+/// Returns a folder with the scene and the result of an undisturbed run in one process, on the store on disk.
 fn sandbox(server: &Postgres) -> Sandbox {
     let mut sandbox = Sandbox::new();
     sandbox.ok(SCENE);
@@ -21,7 +23,7 @@ fn sandbox(server: &Postgres) -> Sandbox {
     sandbox
 }
 
-/// A coordinator with a data directory of its own, except for the blobs, which all share.
+/// Starts a coordinator with its own data directory and shared blobs.
 fn replica<'a>(sandbox: &'a Sandbox, name: &str, arguments: &str) -> Coordinator<'a> {
     for folder in ["shared", name] {
         std::fs::create_dir_all(sandbox.path(folder)).unwrap();
@@ -33,7 +35,7 @@ fn replica<'a>(sandbox: &'a Sandbox, name: &str, arguments: &str) -> Coordinator
     sandbox.serve(name, &format!("--listen 127.0.0.1:0 {arguments}"))
 }
 
-/// Waits until a coordinator says that it leads.
+/// Waits until a coordinator reports that it leads.
 fn leads(coordinator: &Coordinator<'_>) {
     wait_for("a coordinator to lead", || {
         coordinator
@@ -44,7 +46,7 @@ fn leads(coordinator: &Coordinator<'_>) {
     });
 }
 
-/// Waits until a coordinator says that another one leads.
+/// Waits until a coordinator reports that another one leads.
 fn stands_by(coordinator: &Coordinator<'_>, leader: &Coordinator<'_>) {
     let text = format!("at {} leads", leader.url);
     wait_for("a coordinator to stand by", || {
@@ -58,14 +60,14 @@ fn number(job: &Value, key: &str) -> u64 {
         .unwrap_or_else(|| panic!("no number '{key}' in {job}"))
 }
 
-/// What is known of a job, once an answer is had: in the middle of a change of leaders there may be none.
+/// Returns the document of a job, or `None` if no coordinator answers, as during a change of leaders.
 fn shown(sandbox: &Sandbox, url: &str, job: u64) -> Option<Value> {
     let run: Run = sandbox.run(&format!("show {job} --json --coordinator {url}"));
     run.succeeded()
         .then(|| serde_json::from_str(&run.out).unwrap())
 }
 
-/// Waits until some tiles of a job are done and some are at work.
+/// Waits until some tiles of a job are done and some are running.
 fn in_the_middle(sandbox: &Sandbox, url: &str, job: u64) -> u64 {
     wait_for("the job's middle", || {
         let shown = shown(sandbox, url, job)?;
@@ -78,7 +80,7 @@ fn in_the_middle(sandbox: &Sandbox, url: &str, job: u64) -> u64 {
     })
 }
 
-/// Follows a job to its end; gives its result.
+/// Follows a job to its end. Returns the bytes of its result.
 fn finished(sandbox: &Sandbox, url: &str, job: u64) -> Vec<u8> {
     wait_for("the job's end", || {
         shown(sandbox, url, job).filter(|job| job["state"] == "done" || job["state"] == "failed")
@@ -88,7 +90,7 @@ fn finished(sandbox: &Sandbox, url: &str, job: u64) -> Vec<u8> {
 }
 
 #[test]
-fn a_killed_leader_is_followed_and_no_byte_changes() {
+fn successor_of_killed_leader_gives_same_bytes() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -98,7 +100,7 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
     let second = replica(&sandbox, "b", "");
     stands_by(&second, &first);
     let balancer = Balancer::before(&[first.address(), second.address()]);
-    // The scene, the job and what is asked of it go through the one that stands by.
+    // The scene, the job and all queries about it go through the standby.
     let job = second.submit(JOB);
     let watcher = sandbox.start(&format!("watch {job} --coordinator {}", balancer.url()));
     let worker = format!(
@@ -115,7 +117,7 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
         number(&after, "tiles_done") >= done,
         "acknowledged tiles are lost: {after}"
     );
-    // A third one follows, and answers.
+    // A third coordinator takes over and answers.
     let third = replica(&sandbox, "c", "");
     stands_by(&third, &second);
     assert_same(
@@ -129,7 +131,7 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
     );
     watcher.end().code(0);
     assert_eq!(second.count(job, "tiles_set_aside"), 0);
-    // Who is asked to end resigns, and is followed at once.
+    // A coordinator that receives SIGTERM resigns, and its successor leads immediately.
     second.process.signal("TERM");
     second.process.end().code(0);
     leads(&third);
@@ -137,7 +139,7 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
 }
 
 #[test]
-fn a_restarted_database_changes_no_byte() {
+fn restarted_database_does_not_affect_bytes() {
     let Some(mut server) = Postgres::start_with("") else {
         return;
     };
@@ -170,7 +172,7 @@ fn a_restarted_database_changes_no_byte() {
 }
 
 #[test]
-fn who_stands_by_says_so_where_it_cannot_pass_on() {
+fn standby_reports_failed_forwarding() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -181,18 +183,18 @@ fn who_stands_by_says_so_where_it_cannot_pass_on() {
     leads(&first);
     let second = replica(&sandbox, "b", "--http 127.0.0.1:0");
     stands_by(&second, &first);
-    // Pages are the leader's alone.
+    // Only the leader serves pages.
     let (status, text) = ask(&second.pages, "GET /", "", "");
     let text = String::from_utf8(text).unwrap();
     assert!(
         status == 503 && text.contains(&first.url),
         "{status} {text}"
     );
-    // Its health is its own, and what the leader refuses is passed on as it is.
-    second.run("show 99").code(4).says("job 99 is not known");
+    // The standby reports its own health, and forwards the leader's errors unchanged.
+    second.run("show 99").code(4).says("job 99 does not exist");
     drop(first);
     leads(&second);
-    second.run("show 99").code(4).says("job 99 is not known");
+    second.run("show 99").code(4).says("job 99 does not exist");
     wait_for("the dashboard", || {
         (ask(&second.pages, "GET /", "", "").0 == 200).then_some(())
     });
@@ -200,7 +202,7 @@ fn who_stands_by_says_so_where_it_cannot_pass_on() {
 }
 
 #[test]
-fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
+fn unusable_store_is_rejected_with_remedy() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -216,7 +218,7 @@ fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
         &sandbox,
         "--store mysql://u:secret@h/d",
         2,
-        "--store is sled:DIR, memory: or postgres://",
+        "--store must be sled:DIR, memory: or postgres://",
     );
     refused(
         &sandbox,
@@ -224,7 +226,7 @@ fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
         2,
         "sslmode=require",
     );
-    // A port where nobody listens.
+    // No server listens on this port.
     let free = TcpListener::bind("127.0.0.1:0")
         .unwrap()
         .local_addr()
@@ -278,7 +280,7 @@ fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
 }
 
 #[test]
-fn records_move_into_a_database_and_back() {
+fn records_move_into_database_and_back() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -296,11 +298,11 @@ fn records_move_into_a_database_and_back() {
     sandbox
         .run(&format!("store migrate {disk} {database}"))
         .code(3)
-        .says("only while it is empty");
+        .says("cannot import another store");
     {
         let arguments = format!("--listen 127.0.0.1:0 --store {database}");
         let coordinator = sandbox.serve("data", &arguments);
-        // For a moment the database still names who has moved the records.
+        // For a moment, the database still names the process that moved the records as its leader.
         wait_for("the new leader", || {
             (!coordinator.run("jobs").err.contains("error:")).then_some(())
         });
@@ -316,7 +318,7 @@ fn records_move_into_a_database_and_back() {
     let found = sandbox.json(&verify);
     assert_eq!((&found["scenes"], &found["jobs"]), (&1.into(), &1.into()));
     assert_eq!(found["lost"].as_array().unwrap().len(), 0);
-    // What is lost is found.
+    // `store verify` detects the loss.
     std::fs::rename(sandbox.path("data/blobs"), sandbox.path("blobs")).unwrap();
     std::fs::create_dir(sandbox.path("data/blobs")).unwrap();
     sandbox.run(&verify).code(3).says("the result of job 1");
@@ -330,11 +332,11 @@ fn records_move_into_a_database_and_back() {
     sandbox
         .run("store migrate memory: sled:other")
         .code(2)
-        .says("FROM is sled:DIR");
+        .says("FROM must be sled:DIR");
 }
 
 #[test]
-fn a_store_in_memory_or_another_directory_serves() {
+fn store_in_memory_or_other_directory_works() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let memory = sandbox.serve("data", "--listen 127.0.0.1:0 --store memory:");
@@ -354,13 +356,13 @@ fn a_store_in_memory_or_another_directory_serves() {
 }
 
 #[test]
-fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
+fn encrypted_calls_are_forwarded_with_tokens_but_not_certificates() {
     let Some(server) = Postgres::start() else {
         return;
     };
     let mut sandbox = Sandbox::new();
     sandbox.set("SIGHTLINE_STORE", server.url());
-    // One certificate for all, which is its own authority.
+    // All coordinators use one certificate, which is its own authority.
     let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
     let own = rcgen::generate_simple_self_signed(names).unwrap();
     sandbox.write("farm.pem", own.cert.pem());
@@ -386,7 +388,7 @@ fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
         .trim()
         .parse()
         .unwrap();
-    // Who is unknown is told so by the leader.
+    // The leader rejects unknown callers.
     second
         .run("jobs --ca farm.pem")
         .code(4)
@@ -400,7 +402,7 @@ fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
     );
     wait_for("the certificate to be refused", || {
         let log = certified.err();
-        (log.contains("cannot pass on a certificate") && log.contains(&first.url)).then_some(())
+        (log.contains("cannot forward a certificate") && log.contains(&first.url)).then_some(())
     });
     drop(certified);
     let worker =

@@ -1,11 +1,11 @@
-//! `sightline report`: the error, cells over a budget, and the opening that is to blame.
+//! Tests of `sightline report`: the error, the cells over a budget, and the responsible opening.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use sightline_tests::{Browser, Sandbox, across, house};
 
-/// A house of two rooms with a door from y 0 to 1 between them, z 0.8 to 1.2, and a costly thing of many
-/// triangles in the east.
+/// Returns a house of two rooms with a door, and an object of many triangles in the eastern room. The door is
+/// at y 0 to 1 and z 0.8 to 1.2.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     let mut parts: Vec<(String, [[f32; 3]; 4])> = vec![
@@ -33,13 +33,14 @@ fn sandbox() -> Sandbox {
 }
 
 #[test]
-fn a_door_is_to_blame_for_what_is_seen_through_it() {
+fn report_names_responsible_door() {
     let sandbox = sandbox();
     let line =
         "report house.pvs house.obj -o report.html --viewpoints 40 --resolution 64 --backend cpu";
     let found = sandbox.json(line);
     let openings = found["blame"]["openings"].as_array().unwrap();
-    // The boxes that save are in the door or behind it, on the way to the carvings, and not above or beside.
+    // The reported boxes are in the door or behind it, on the way to the carvings, and not above it or at its
+    // sides.
     let is_on_the_way = |o: &serde_json::Value| {
         let at =
             |corner: usize, axis: usize| o["opening"]["bounds"][corner][axis].as_f64().unwrap();
@@ -59,7 +60,7 @@ fn a_door_is_to_blame_for_what_is_seen_through_it() {
         "{carving}"
     );
     assert!(openings[0]["saves"].as_f64().unwrap() > 0.0);
-    // The same again, whatever the threads do.
+    // The report does not depend on the schedule of threads.
     assert_eq!(sandbox.json(line)["blame"], found["blame"]);
     let page = String::from_utf8(sandbox.read("report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("carving"));
@@ -72,7 +73,7 @@ fn a_door_is_to_blame_for_what_is_seen_through_it() {
 }
 
 #[test]
-fn a_budget_names_cells_and_fails_a_build() {
+fn budget_names_cells_and_fails_build() {
     let sandbox = sandbox();
     let line = "report house.pvs house.obj -o report.html --viewpoints 4 --resolution 32 \
                 --backend cpu --budget";

@@ -1,4 +1,4 @@
-//! The content of a result: every command gives the same answer, and a damaged file gives none.
+//! Tests of the content of a result: all commands agree, and a damaged file is rejected.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use serde_json::Value;
 use sightline_tests::{Dump, Sandbox};
 
-/// A folder with `maze.glb` and its bake `maze.pvs`.
+/// Returns a folder with `maze.glb` and its bake `maze.pvs`.
 fn baked() -> Sandbox {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 3x3 -o maze.glb");
@@ -79,14 +79,14 @@ fn info_dump_and_query_agree() {
 }
 
 #[test]
-fn objects_are_those_of_the_visible_triangles() {
+fn objects_cover_visible_triangles() {
     let sandbox = baked();
     let objects = sandbox.json("info maze.pvs")["objects"]
         .as_array()
         .unwrap()
         .clone();
     let number = |o: &Value, key: &str| o[key].as_u64().unwrap();
-    // Objects cover the triangles without a gap, so each triangle is one object's.
+    // Objects cover the triangles without a gap, so each triangle belongs to one object.
     let end = objects.iter().fold(0, |next, o| {
         assert_eq!(number(o, "first"), next);
         next + number(o, "count")
@@ -174,13 +174,14 @@ fn smallest_thresholds_reach_result() {
         (&cubes["error_threshold"], &cubes["interior_threshold"]),
         (&0.0.into(), &0.0.into())
     );
-    // Every face of the cell is split into 4x4 squares, whose corners are cubes. Faces are separate tiles.
+    // Every face of the cell is split into 4x4 squares, with cubes at their corners. Faces are separate
+    // tiles.
     let info = bake("--error-measure uniform --min-distance 0.25");
     assert_eq!(info["samples"], 6 * 5 * 5, "{info}");
 }
 
 #[test]
-fn a_point_outside_the_view_box_has_no_answer() {
+fn point_outside_view_box_has_no_answer() {
     let sandbox = baked();
     for point in ["0 0 1e6", "-1e6 1 1", "1 nan 1", "inf 1 1"] {
         sandbox
@@ -197,11 +198,11 @@ fn a_point_outside_the_view_box_has_no_answer() {
     sandbox
         .run("watch maze")
         .code(2)
-        .says("named by its number");
+        .says("give the number of a job");
 }
 
 #[test]
-fn a_damaged_result_is_refused() {
+fn damaged_result_is_rejected() {
     let sandbox = baked();
     let whole = sandbox.read("maze.pvs");
     let lengths = (0..64)
@@ -228,7 +229,7 @@ fn a_damaged_result_is_refused() {
 }
 
 #[test]
-fn what_is_no_result_is_refused() {
+fn other_files_are_rejected_as_results() {
     let sandbox = baked();
     std::fs::copy(sandbox.path("maze.glb"), sandbox.path("scene.pvs")).unwrap();
     std::fs::create_dir(sandbox.path("folder.pvs")).unwrap();
@@ -244,7 +245,7 @@ fn what_is_no_result_is_refused() {
 }
 
 #[test]
-fn a_scene_and_its_mesh_are_the_same_triangles() {
+fn scene_and_its_mesh_have_same_triangles() {
     let sandbox = baked();
     sandbox.ok("mesh maze.glb -o mesh.ply");
     let triangles = read_mesh(&sandbox.read("mesh.ply"));
@@ -252,15 +253,15 @@ fn a_scene_and_its_mesh_are_the_same_triangles() {
     assert_eq!(triangles.len() as u64, dump.header["triangles"]);
     bake(&sandbox, "mesh.ply", "mesh.pvs");
     assert_eq!(sandbox.dump("mesh.pvs").cells, dump.cells);
-    // The mesh of the mesh is the same mesh.
+    // The mesh of a mesh is the same mesh.
     sandbox.ok("mesh mesh.ply -o again.ply");
     assert_eq!(sandbox.read("again.ply"), sandbox.read("mesh.ply"));
 }
 
 #[test]
-fn a_mesh_has_every_face_in_the_files_order() {
+fn mesh_has_all_faces_in_order_of_file() {
     let sandbox = Sandbox::new();
-    // A pentagon, relative indices, a degenerate face, two groups: fans, in order, nothing dropped.
+    // A pentagon, relative indices, a degenerate face, and two groups: all faces become fans in order.
     let corners = [
         [0., 0., 0.],
         [2., 0., 0.25],
@@ -282,7 +283,7 @@ fn a_mesh_has_every_face_in_the_files_order() {
     );
 }
 
-/// Triangles of a binary PLY with three own vertices a triangle, x, y, z as 32-bit floats.
+/// Returns the triangles of a binary PLY that has three vertices per triangle, with x, y, z as 32-bit floats.
 fn read_mesh(bytes: &[u8]) -> Vec<[[f32; 3]; 3]> {
     let end = b"end_header\n";
     let body = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();

@@ -1,5 +1,7 @@
-//! A worker that comes back to its coordinator names the tiles that it still works on and no others, and asks
-//! for work again where the coordinator was wrong about what it held.
+//! Tests of a worker that reconnects.
+//!
+//! It names only the tiles that it still computes, and requests work again if the coordinator was wrong about
+//! its tiles.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -22,10 +24,10 @@ use tonic::{Request, Response, Status, Streaming};
 
 type Answers<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
-/// What the test says to a worker on one stream; dropping it ends the stream.
+/// The sender of the test's messages to a worker on one stream. Dropping it ends the stream.
 type ToWorker = mpsc::Sender<Result<v1::CoordinatorMessage, Status>>;
 
-/// A stream of the worker: what it says, and how it is answered.
+/// A stream of the worker: its messages, and the sender of the answers.
 struct Session {
     hears: Streaming<v1::WorkerMessage>,
     says: Option<ToWorker>,
@@ -39,7 +41,7 @@ impl Session {
         self.says.as_ref().unwrap().send(Ok(message)).await.unwrap();
     }
 
-    /// The next message but those that renew leases.
+    /// Returns the next message that is not a renewal of leases.
     async fn hear(&mut self) -> FromWorker {
         loop {
             let next = tokio::time::timeout(Duration::from_secs(30), self.hears.next()).await;
@@ -57,13 +59,13 @@ impl Session {
     }
 }
 
-/// A coordinator whose test says what it answers.
+/// A coordinator whose answers the test determines.
 struct Puppet {
     sessions: mpsc::UnboundedSender<Session>,
     scene: Vec<v1::Chunk>,
-    /// The stream that ends when the first output comes.
+    /// The stream that ends when the first output arrives.
     ends: Arc<Mutex<Option<ToWorker>>>,
-    /// So many streams are refused next.
+    /// The number of next streams that are rejected.
     refuses: AtomicU32,
 }
 
@@ -114,7 +116,7 @@ impl Workers for Puppet {
         &self,
         _: Request<Streaming<v1::ResultPart>>,
     ) -> Result<Response<v1::PutResultResponse>, Status> {
-        // The worker is told when it has no stream any more, more than a second before it has another one.
+        // The worker receives the answer while it has no stream, more than a second before its next stream.
         self.refuses.store(2, Ordering::Relaxed);
         drop(self.ends.lock().unwrap().take());
         tokio::time::sleep(Duration::from_millis(60)).await;
@@ -138,7 +140,7 @@ impl Workers for Puppet {
     }
 }
 
-/// A job and its scene, as a coordinator has them.
+/// Returns a job and its scene as a coordinator sends them.
 async fn job(sandbox: &Sandbox) -> (v1::JobSpec, Vec<v1::Chunk>) {
     sandbox.ok("generate maze --grid 3x3 -o maze.glb");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -164,7 +166,7 @@ async fn job(sandbox: &Sandbox) -> (v1::JobSpec, Vec<v1::Chunk>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_refused_without_a_connection_is_not_claimed() {
+async fn output_rejected_without_connection_is_not_claimed() {
     let sandbox = Sandbox::new();
     let (spec, scene) = job(&sandbox).await;
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -218,7 +220,7 @@ async fn what_was_refused_without_a_connection_is_not_claimed() {
     first.say(FromCoordinator::Grant(grant)).await;
     *ends.lock().unwrap() = first.says.take();
 
-    // Its output was refused while it had no stream to say so.
+    // The output was rejected while the worker had no stream to receive the rejection.
     let mut second = joined.next().await.unwrap();
     let FromWorker::Hello(hello) = second.hear().await else {
         panic!("no greeting")
@@ -226,7 +228,8 @@ async fn what_was_refused_without_a_connection_is_not_claimed() {
     assert_eq!(hello.held, [], "a tile that has ended is claimed");
     second.say(welcome()).await;
     assert_eq!(second.hear().await, two);
-    // What the coordinator takes back and the worker does not hold was a hand that it did not count on.
+    // The coordinator revokes a lease that the worker does not hold, so the worker has more capacity than the
+    // coordinator assumed.
     second
         .say(FromCoordinator::Revoke(v1::Revoke { lease: lease(1) }))
         .await;

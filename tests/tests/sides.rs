@@ -1,4 +1,4 @@
-//! Back faces that are culled, from the flag to results, measures and refusals.
+//! Tests of culled back faces, from the flag to results, measurements and rejections.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use sightline_tests::{Sandbox, assert_same};
 
-/// Appends a block to an OBJ file, its faces counter-clockwise as seen from outside or from inside.
+/// Appends a block to an OBJ file, with faces counter-clockwise as seen from outside or from inside.
 fn block(text: &mut String, name: &str, [lo, hi]: [[f32; 3]; 2], inside: bool) {
     writeln!(text, "o {name}").unwrap();
     for axis in 0..3 {
@@ -32,8 +32,8 @@ fn block(text: &mut String, name: &str, [lo, hi]: [[f32; 3]; 2], inside: bool) {
     }
 }
 
-/// A room whose walls are seen from inside, a crate in it, and a post outside, each of twelve triangles. Of
-/// three cells the first is in the room and the last is outside.
+/// Returns a folder with a room whose walls are visible from inside, a crate in the room, and a post outside,
+/// with twelve triangles each. Of three cells, the first is in the room and the last is outside.
 fn sandbox() -> Sandbox {
     let mut text = String::new();
     block(&mut text, "room", [[0.0; 3], [4.0; 3]], true);
@@ -70,7 +70,7 @@ fn bake(sandbox: &Sandbox, name: &str, flags: &str) -> Vec<BTreeSet<u64>> {
 }
 
 #[test]
-fn walls_that_are_culled_from_outside_show_the_room_behind_them() {
+fn walls_culled_from_outside_show_room_behind_them() {
     let sandbox = sandbox();
     let sees =
         |set: &BTreeSet<u64>, ids: std::ops::Range<u64>| ids.clone().any(|t| set.contains(&t));
@@ -98,9 +98,9 @@ fn walls_that_are_culled_from_outside_show_the_room_behind_them() {
             sees(&sets[2], 0..2) && !sees(&sets[2], 2..4),
             "{name}: and the far wall, not the near one"
         );
-        // The side of the post that is turned away.
+        // This side of the post faces away.
         assert!(!sees(&sets[2], 26..28), "{name}");
-        // The measure culls as the result does.
+        // The measurement culls like the result.
         let report = sandbox.json(&format!(
             "measure room.obj {name}.pvs --viewpoints 8 --resolution 64"
         ));
@@ -116,7 +116,7 @@ fn walls_that_are_culled_from_outside_show_the_room_behind_them() {
             .ok("info lines.pvs")
             .contains("back faces are culled")
     );
-    // Without the flag the walls hide what is behind them from both sides.
+    // Without the flag, the walls block from both sides.
     let plain = bake(&sandbox, "plain", "--backend cpu");
     assert!(!sees(&plain[2], 12..24) && sees(&plain[2], 2..4));
     assert!(sandbox.json("info plain.pvs")["info"]["cull_back_faces"].is_null());
@@ -127,7 +127,7 @@ fn walls_that_are_culled_from_outside_show_the_room_behind_them() {
 }
 
 #[test]
-fn workers_change_no_byte_of_a_culled_bake() {
+fn workers_do_not_affect_bytes_of_culled_bake() {
     let sandbox = sandbox();
     for (sampler, more) in [
         ("lines", "--block-cells 1 --cell-to-cell on"),
@@ -144,7 +144,7 @@ fn workers_change_no_byte_of_a_culled_bake() {
 }
 
 #[test]
-fn what_is_exact_refuses_culled_scenes_and_says_what_to_do() {
+fn exact_commands_reject_culled_scenes_with_remedy() {
     let sandbox = sandbox();
     for method in ["exact", "verified"] {
         sandbox
@@ -152,7 +152,7 @@ fn what_is_exact_refuses_culled_scenes_and_says_what_to_do() {
                 "bake {JOB} -o x.pvs --cull-back-faces --method {method}"
             ))
             .code(2)
-            .says("give aggressive, or leave out --cull-back-faces");
+            .says("give aggressive, or omit --cull-back-faces");
     }
     bake(
         &sandbox,
@@ -175,5 +175,5 @@ fn what_is_exact_refuses_culled_scenes_and_says_what_to_do() {
     sandbox
         .run("sightlines room.obj --queries q.jsonl --cull-back-faces")
         .code(3)
-        .says("culled");
+        .says("culls back faces");
 }

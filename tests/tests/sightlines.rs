@@ -1,4 +1,4 @@
-//! `sightline sightlines`: one line of output for each line of input, in order. Invalid queries are named,
+//! Tests of `sightline sightlines`: one output line for each input line, in order. Invalid queries are named,
 //! and every answer is checked.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
@@ -32,19 +32,19 @@ fn lines(text: &str) -> Vec<Value> {
 }
 
 #[test]
-fn every_query_is_answered_in_order() {
+fn queries_are_answered_in_order() {
     let sandbox = Sandbox::new();
     sandbox.write("wall.obj", WALL);
     let queries = [
         // Through the slit.
         json!({"id": "slit", "a": square([0.0, 0.0], 1.0, 0.0), "b": square([0.0, 0.0], 1.0, 10.0)}),
-        // Both above the slit: only lines in one plane could meet it.
+        // Both polygons are above the slit: only lines in one plane could meet it.
         json!({"id": 2, "a": square([0.0, 2.0], 1.0, 0.0), "b": square([0.0, 2.0], 1.0, 10.0)}),
-        // On one side of the wall.
+        // Both polygons are on one side of the wall.
         json!({"id": [3], "a": square([0.0, 0.0], 1.0, 0.0), "b": square([0.0, 0.0], 1.0, 4.0)}),
-        // Around the wall.
+        // The lines pass around the wall.
         json!({"a": square([0.0, 0.0], 20.0, 0.0), "b": square([0.0, 2.0], 1.0, 10.0)}),
-        // b lies on the wall, which does not block it.
+        // The polygon b is on the wall, which does not block it.
         json!({"id": 5, "a": square([0.0, 2.0], 1.0, 0.0), "b": square([0.0, 2.0], 1.0, 5.0)}),
     ];
     let text: String = queries.iter().map(|q| format!("{q}\n\n")).collect();
@@ -64,7 +64,7 @@ fn every_query_is_answered_in_order() {
         ["visible", "hidden", "visible", "visible", "visible"]
     );
     assert_eq!(answers[1]["blockers"], json!([2, 3]));
-    // The witness goes through the slit.
+    // The witness passes through the slit.
     let point = |k: usize| -> Vec<f64> {
         answers[0]["witness"][k]
             .as_array()
@@ -81,7 +81,7 @@ fn every_query_is_answered_in_order() {
 }
 
 #[test]
-fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
+fn invalid_query_is_named_after_answers_before_it() {
     let sandbox = Sandbox::new();
     sandbox.write("wall.obj", WALL);
     let good =
@@ -89,14 +89,14 @@ fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
     let flat = square([0.0, 0.0], 1.0, 0.0);
     for (bad, why) in [
         (json!({"a": flat}).to_string(), "missing field `b`"),
-        ("{".to_owned(), "it is no query"),
+        ("{".to_owned(), "the line is not a query"),
         (
             json!({"a": flat, "b": [[0, 0, 1], [1, 1, 2], [2, 2, 3]]}).to_string(),
-            "polygon b: it has no area",
+            "polygon b: the polygon has no area",
         ),
         (
             json!({"a": [[0, 0, 0], [4, 0, 0], [1, 1, 0], [0, 4, 0]], "b": flat}).to_string(),
-            "polygon a: it is not convex",
+            "polygon a: the polygon is not convex",
         ),
         (
             json!({"a": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]], "b": flat}).to_string(),
@@ -106,7 +106,7 @@ fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
             json!({"a": [[1e300, 0, 0], [1, 0, 0], [1, 1, 0]], "b": flat}).to_string(),
             "beyond ±1e60",
         ),
-        ("x".repeat(1 << 20), "longer than"),
+        ("x".repeat(1 << 20), "bytes or more; split the query"),
     ] {
         sandbox.write("q.jsonl", format!("{good}\n{bad}\n{good}\n"));
         let run = sandbox.run("sightlines wall.obj --queries q.jsonl").code(3);
@@ -124,7 +124,7 @@ fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
 }
 
 #[test]
-fn one_may_ask_and_wait_for_each_answer() {
+fn client_may_wait_for_each_answer() {
     let sandbox = Sandbox::new();
     sandbox.write("wall.obj", WALL);
     let mut child = Command::new(program())
@@ -157,7 +157,7 @@ fn one_may_ask_and_wait_for_each_answer() {
 #[test]
 fn sequences_of_polygons_are_stabbed_or_blocked() {
     let sandbox = Sandbox::new();
-    // Squares at z = 0 and 1, the third at z = 2 moved along x: by a 2⁻²⁰th less than 4, by 4.
+    // Two squares at z = 0 and 1, and a third one at z = 2 that is moved along x: by 4 − 2⁻²⁰, and by 4.
     let moved = |far: &str| {
         let x = [
             format!("{}/1048576", far),
@@ -179,7 +179,7 @@ fn sequences_of_polygons_are_stabbed_or_blocked() {
     let states: Vec<&Value> = answers.iter().map(|a| &a["state"]).collect();
     assert_eq!(states, ["stabbed", "blocked", "stabbed"]);
     assert_eq!(answers[0]["id"], "just");
-    // The line through its two points is at most 1 from the axis at z = 1, and beyond 3 − 2⁻²⁰ at z = 2.
+    // The line through the two points is at most 1 from the axis at z = 1, and beyond 3 − 2⁻²⁰ at z = 2.
     let number = |v: &Value| match v.as_str().map(|s| s.split_once('/').unwrap()) {
         None => v.as_f64().unwrap(),
         Some((n, d)) => n.parse::<f64>().unwrap() / d.parse::<f64>().unwrap(),
@@ -200,13 +200,13 @@ fn sequences_of_polygons_are_stabbed_or_blocked() {
         ),
         (
             json!({"portals": [[[0, 0, "x"], [1, 0, 0], [1, 1, 0]]]}),
-            "is no fraction",
+            "is not a fraction",
         ),
         (
             json!({"portals": [first, [[0, 0, 1e99], [1, 0, 0], [1, 1, 0]]]}),
             "polygon 1: a coordinate",
         ),
-        (json!({"polygons": 3}), "it is no query"),
+        (json!({"polygons": 3}), "the line is not a query"),
     ] {
         sandbox.write("q.jsonl", format!("{bad}\n"));
         let run = sandbox.run("stab --queries q.jsonl").code(3);

@@ -1,14 +1,16 @@
-//! A coordinator under load for a while: 200 simulated workers that come and go, and clients that submit,
-//! watch, cancel, pause, fetch and delete. Everything that is acknowledged is there, and memory, open files
-//! and threads of the coordinator stay as they are.
+//! A coordinator under load for a while: 200 simulated workers come and go, and clients submit, watch,
+//! cancel, pause, fetch and delete.
+//!
+//! All acknowledged changes must be stored. The memory, the open files and the threads of the coordinator
+//! must not grow.
 //!
 //! ```text
 //! SIGHTLINE_SOAK_SECONDS=3600 cargo test --workspace --test soak -- --nocapture
 //! export SIGHTLINE_SOAK_SECONDS=900 SIGHTLINE_SOAK_TRIANGLES=400000
 //! cargo test --workspace --test soak -- --nocapture
 //! ```
-//! Without a time it takes half a minute. With triangles, each cell sees a random half of so many, which
-//! makes outputs of 50 kB and results of 13 MB.
+//! Without a duration, the test takes half a minute. With triangles, each cell sees a random half of the
+//! given number, which causes outputs of 50 kB and results of 13 MB.
 
 #![allow(
     clippy::unwrap_used,
@@ -34,16 +36,16 @@ use simulated::Work;
 const WORKERS: usize = 200;
 const CLIENTS: u64 = 8;
 const WATCHERS: usize = 40;
-/// 256 tiles of one cell.
+/// The job: 256 tiles of one cell each.
 const JOB: &str = "scene.glb --cells 16x16x1 --block-cells 1 --cell-to-cell off --backend cpu";
 
 fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).map_or(default, |text| text.parse().unwrap())
 }
 
-/// What clients have seen.
+/// The counts of the clients' observations.
 #[derive(Default)]
-struct Seen {
+struct ClientTotals {
     submitted: AtomicU64,
     done: AtomicU64,
     cancelled: AtomicU64,
@@ -63,7 +65,7 @@ fn has_ended(job: &v1::Job) -> bool {
     .contains(&state_of(job))
 }
 
-/// Follows a job to its end.
+/// Follows a job to its end. Returns its last state.
 async fn end(client: &mut JobsClient<Channel>, id: u64) -> v1::Job {
     let mut last = None;
     let mut watched = client
@@ -78,7 +80,7 @@ async fn end(client: &mut JobsClient<Channel>, id: u64) -> v1::Job {
         .unwrap_or_else(|| panic!("the stream of job {id} ended before the job"))
 }
 
-/// The bytes of a stream of chunks, which are those of the digest.
+/// Downloads a result, checks its digest, and returns its size in bytes.
 async fn fetched(client: &mut JobsClient<Channel>, job: &v1::Job) -> u64 {
     let mut chunks = client
         .fetch(v1::ShowRequest { job: job.id })
@@ -103,7 +105,7 @@ async fn fetched(client: &mut JobsClient<Channel>, job: &v1::Job) -> u64 {
 }
 
 /// Submits jobs one after the other, each with another seed and another fate, and deletes them.
-async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until: Instant) {
+async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<ClientTotals>, until: Instant) {
     let mut client = JobsClient::connect(url).await.unwrap();
     for round in 0.. {
         if Instant::now() > until {
@@ -130,12 +132,12 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
         match (own + round) % 5 {
             0 => drop(client.cancel(show).await.unwrap()),
             1 => {
-                // Somebody who looks for a moment and goes.
+                // A client that watches for a moment and disconnects.
                 let mut watched = client.watch(show).await.unwrap().into_inner();
                 drop(watched.next().await.unwrap().unwrap());
             }
             2 => {
-                // It may have ended already.
+                // The job may have ended already.
                 let paused = client
                     .pause(v1::PauseRequest {
                         job: id,
@@ -147,7 +149,7 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
                 }
             }
             3 => {
-                // A job that has ended has no part.
+                // A job that has ended has no partial result.
                 let part = client.fetch_partial(show).await;
                 if let Ok(part) = part {
                     let mut part = part.into_inner();
@@ -177,7 +179,7 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
     }
 }
 
-/// Watches what there is to watch, and never reads on.
+/// Watches all jobs and events, and never reads the streams.
 async fn idle_watcher(url: String, until: Instant) {
     let mut client = JobsClient::connect(url.clone()).await.unwrap();
     let mut farm = v1::farm_client::FarmClient::connect(url).await.unwrap();
@@ -197,7 +199,7 @@ async fn idle_watcher(url: String, until: Instant) {
             .unwrap();
         let mut watched = Vec::new();
         for job in jobs.iter().take(3) {
-            // It may be deleted by now.
+            // The job may have been deleted by now.
             watched.extend(client.watch(v1::ShowRequest { job: job.id }).await);
         }
         tokio::time::sleep(Duration::from_secs(2)).await;
@@ -205,10 +207,10 @@ async fn idle_watcher(url: String, until: Instant) {
     }
 }
 
-/// Threads that may be left after a load: those that a chore or a heartbeat has just taken.
+/// The number of threads that may remain after a load, for a chore or a heartbeat that has just started.
 const THREADS: u64 = 4;
 
-/// What a process uses.
+/// The resources of a process.
 #[derive(Clone, Copy, Debug)]
 struct Use {
     kilobytes: u64,
@@ -235,20 +237,20 @@ fn used(process: u32) -> Use {
     }
 }
 
-fn median(of: &[Use], what: impl Fn(&Use) -> u64) -> u64 {
-    let mut all: Vec<u64> = of.iter().map(what).collect();
+fn median(uses: &[Use], what: impl Fn(&Use) -> u64) -> u64 {
+    let mut all: Vec<u64> = uses.iter().map(what).collect();
     all.sort_unstable();
     all[all.len() / 2]
 }
 
 #[test]
-fn memory_and_files_stay_as_they_are_under_load() {
+fn memory_and_files_stay_constant_under_load() {
     let (seconds, triangles) = (
         number("SIGHTLINE_SOAK_SECONDS", 30),
         number("SIGHTLINE_SOAK_TRIANGLES", 0),
     );
     let mut sandbox = Sandbox::new();
-    // As deploy/ has it: otherwise freed memory is kept for many threads apart.
+    // Use the setting of deploy/. Otherwise the allocator keeps freed memory for many threads separately.
     sandbox.set("MALLOC_ARENA_MAX", "2");
     sandbox.ok(&format!(
         "generate town --triangles {} -o scene.glb",
@@ -260,7 +262,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
         triangles: triangles as u32,
         ..Work::default()
     });
-    let seen = Arc::new(Seen::default());
+    let seen = Arc::new(ClientTotals::default());
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -300,7 +302,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
     while Instant::now() < until {
         std::thread::sleep(Duration::from_millis(500));
         uses.push(used(coordinator.process.id()));
-        // One comes and goes.
+        // A worker comes and goes.
         coming += 1;
         let (url, name, brief) = (
             coordinator.url.clone(),
@@ -308,7 +310,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
             Arc::new(Work::default()),
         );
         runtime.spawn(async move {
-            // It goes in the middle of whatever it does.
+            // The worker disconnects in the middle of its work.
             drop(
                 tokio::time::timeout(
                     Duration::from_millis(300),
@@ -327,7 +329,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
         }
         work.over.store(true, Ordering::Relaxed);
     });
-    // Workers have found no fault: one that did would have ended with it.
+    // No worker has detected a fault, because a fault would have ended the worker.
     assert!(
         working.iter().all(|worker| !worker.is_finished()),
         "a worker has ended"
@@ -361,8 +363,8 @@ fn memory_and_files_stay_as_they_are_under_load() {
         "nothing happened"
     );
     let (before, after) = (medians(early), medians(late));
-    // The store's cache (64 MB), the last events (8 MB) and what the allocator keeps back grow to their
-    // bounds, the faster the more outputs come; a leak of the hour-long run is far more.
+    // The store's cache (64 MB), the last events (8 MB) and the allocator's reserve grow to their limits,
+    // faster with more outputs. A leak of the hour-long run is far larger.
     assert!(
         after.0 < before.0 + 40_960,
         "memory grew from {} to {} kB",
@@ -375,8 +377,8 @@ fn memory_and_files_stay_as_they_are_under_load() {
         before.1,
         after.1
     );
-    // Threads that block come with load, in bursts, and stay for ten seconds after it. Quarters that are long
-    // beside that are alike, and what is left after the load was leaked.
+    // Blocking threads start under load, in bursts, and stay for ten seconds afterwards. Quarters of the run
+    // that are much longer than that are similar, and threads that remain after the load were leaked.
     let warm = medians(&uses[uses.len() / 2..uses.len() * 3 / 4]);
     let is_long = seconds >= 120;
     assert!(
@@ -398,7 +400,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
         );
         std::thread::sleep(Duration::from_millis(500));
     }
-    // All that was deleted is gone, and the farm is of use.
+    // All deleted jobs are gone, and the farm works.
     let left = coordinator.json("jobs --all");
     assert_eq!(left.as_array().unwrap().len(), 1, "{left}");
     coordinator.ok(&format!("delete {first}"));

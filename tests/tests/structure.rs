@@ -1,8 +1,8 @@
-//! The structure that ARCHITECTURE.md promises: which crate may depend on which, and no circle between
-//! modules.
+//! Tests of the structure in ARCHITECTURE.md: the permitted dependencies between crates, and no cycles
+//! between modules.
 //!
-//! A circle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a
-//! `mod.rs` or `lib.rs` do not count, since they only shorten a path; test modules do not count either.
+//! A cycle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a `mod.rs`
+//! or `lib.rs` do not count, since they only shorten a path. Test modules do not count, either.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -17,7 +17,8 @@ fn root() -> PathBuf {
         .to_owned()
 }
 
-/// The names of all crates that `package` depends on, directly or not, without its tests' dependencies.
+/// Returns the names of all crates that `package` depends on, directly or not, without the dependencies of
+/// its tests.
 fn dependencies(package: &str) -> BTreeSet<String> {
     let out = Command::new(env!("CARGO"))
         .args([
@@ -47,7 +48,7 @@ fn dependencies(package: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// The crates of this workspace among [`dependencies`].
+/// Returns the crates of this workspace among the [`dependencies`].
 fn ours(package: &str) -> Vec<String> {
     dependencies(package)
         .into_iter()
@@ -56,7 +57,7 @@ fn ours(package: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_coordinator_knows_no_tracer_and_no_search() {
+fn coordinator_depends_on_no_tracer_or_search() {
     let all = dependencies("sightline-coordinator");
     for foreign in [
         "wgpu",
@@ -74,7 +75,7 @@ fn the_coordinator_knows_no_tracer_and_no_search() {
 }
 
 #[test]
-fn assembly_depends_on_no_tracer_and_no_network() {
+fn assembly_depends_on_no_tracer_or_network() {
     let all = dependencies("sightline-assemble");
     for foreign in [
         "wgpu",
@@ -96,7 +97,7 @@ fn assembly_depends_on_no_tracer_and_no_network() {
 }
 
 #[test]
-fn scheduler_knows_no_store_or_network() {
+fn scheduler_depends_on_no_store_or_network() {
     let all = dependencies("sightline-scheduler");
     for foreign in [
         "tokio",
@@ -110,34 +111,34 @@ fn scheduler_knows_no_store_or_network() {
             "sightline-scheduler depends on {foreign}"
         );
     }
-    assert!(ours("sightline-records").is_empty());
+    assert_eq!(ours("sightline-records"), ["sightline-numbers"]);
 }
 
 #[test]
-fn tracers_know_no_samplers() {
+fn tracers_depend_on_no_samplers() {
     let all = ours("sightline-trace");
     assert!(!all.contains(&"sightline-sample".to_owned()), "{all:?}");
 }
 
 #[test]
-fn the_checker_knows_number_types_alone() {
+fn checker_depends_only_on_number_types() {
     assert_eq!(ours("sightline-certificate"), ["sightline-numbers"]);
     assert!(ours("sightline-numbers").is_empty());
 }
 
 #[test]
-fn geometry_and_formats_know_no_scenes() {
+fn geometry_and_formats_depend_on_no_scenes() {
     assert_eq!(ours("sightline-geometry"), ["sightline-numbers"]);
     assert!(ours("sightline-formats").is_empty());
 }
 
 #[test]
-fn the_reader_of_results_stands_alone() {
+fn result_reader_depends_on_no_other_crate() {
     assert!(ours("sightline-pvs").is_empty());
 }
 
 #[test]
-fn looking_from_a_point_needs_no_tracer() {
+fn point_queries_depend_on_no_tracer() {
     assert_eq!(
         ours("sightline-tetra"),
         [
@@ -157,12 +158,12 @@ fn looking_from_a_point_needs_no_tracer() {
 }
 
 #[test]
-fn traces_know_nothing_of_what_is_traced() {
+fn traces_do_not_depend_on_traced_crates() {
     assert_eq!(ours("sightline-traces"), ["sightline-proto"]);
 }
 
 #[test]
-fn libraries_know_no_network_and_no_store() {
+fn libraries_depend_on_no_network_or_store() {
     let libraries = std::fs::read_dir(root().join("crates")).unwrap();
     for name in libraries.map(|e| e.unwrap().file_name().into_string().unwrap()) {
         let all = dependencies(&format!("sightline-{name}"));
@@ -175,7 +176,7 @@ fn libraries_know_no_network_and_no_store() {
     }
 }
 
-/// The source files below `dir`, by module path: `lib.rs` and `main.rs` have the empty path.
+/// Collects the source files below `dir` by module path. `lib.rs` and `main.rs` have the empty path.
 fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>) {
     for entry in std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().path()) {
         let stem = entry.file_stem().unwrap().to_str().unwrap().to_owned();
@@ -194,10 +195,10 @@ fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>
     }
 }
 
-/// The code of a file without comments and without its test module.
+/// Returns the code of a file without comments and without its test module.
 fn code(file: &Path) -> String {
     let text = std::fs::read_to_string(file).unwrap();
-    // A test module in the file is its last part; one in another file is only declared.
+    // A test module inside the file is its last part. A test module in another file is only declared here.
     let cuts = ["#[cfg(test)]\nmod ", "#[cfg(test)]\npub mod "]
         .into_iter()
         .flat_map(|m| text.match_indices(m));
@@ -215,8 +216,8 @@ fn code(file: &Path) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// The paths that code names from `crate::`, `super::` or one of its child modules on, with those in braces
-/// written out.
+/// Returns the paths in the code that start with `crate::`, `super::` or a child module, with groups in
+/// braces expanded.
 fn named(text: &str, own: &[String], children: &[&String]) -> Vec<Vec<String>> {
     let mut out = Vec::new();
     let words: Vec<String> = ["crate", "super"]
@@ -260,7 +261,7 @@ fn named(text: &str, own: &[String], children: &[&String]) -> Vec<Vec<String>> {
     out
 }
 
-/// Writes out `a::{b, c::d}` below `base`.
+/// Expands `a::{b, c::d}` below `base`.
 fn expand(tree: &str, base: &[String], out: &mut Vec<Vec<String>>) {
     let tree = tree.trim();
     let (head, group) = tree
@@ -297,8 +298,8 @@ fn expand(tree: &str, base: &[String], out: &mut Vec<Vec<String>>) {
     }
 }
 
-/// The file that defines an item of a module: the module's own file, or the file that the item is re-exported
-/// from.
+/// Returns the file that defines an item of a module: the module's own file, or the file that the item is
+/// re-exported from.
 fn home<'a>(
     module: &'a Vec<String>,
     item: Option<&String>,
@@ -336,7 +337,7 @@ fn home<'a>(
     module
 }
 
-/// The files that import each other, directly or through others.
+/// Returns the sets of files that import each other, directly or through others.
 fn circles(source: &Path) -> Vec<Vec<String>> {
     let mut files = BTreeMap::new();
     modules(source, &[], &mut files);
@@ -353,7 +354,8 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
             .filter(|f| f.len() == module.len() + 1 && f.starts_with(module));
         let children: Vec<&String> = children.filter_map(|f| f.last()).collect();
         for path in named(&text, module, &children) {
-            // The longest part of the path that is a file: the rest of the path is an item of that file.
+            // Use the longest prefix of the path that is a file. The rest of the path is an item of that
+            // file.
             let target = (0..=path.len())
                 .rev()
                 .find_map(|n| files.get_key_value(&path[..n]));
@@ -390,7 +392,7 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
     found.into_iter().collect()
 }
 
-/// Whether a file defines an item of that name itself.
+/// Returns true if a file itself defines an item with this name.
 fn defines(text: &str, item: &str) -> bool {
     let words: Vec<&str> = text
         .split(|c: char| !(c.is_alphanumeric() || c == '_'))
@@ -404,7 +406,7 @@ fn defines(text: &str, item: &str) -> bool {
 }
 
 #[test]
-fn no_modules_import_each_other_in_a_circle() {
+fn modules_have_no_import_cycles() {
     let root = root();
     let mut crates: Vec<PathBuf> = [
         "sightline",
@@ -446,7 +448,7 @@ fn no_modules_import_each_other_in_a_circle() {
 }
 
 #[test]
-fn a_circle_is_found_and_a_re_export_is_none() {
+fn cycle_is_detected_and_re_export_is_ignored() {
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
     write("lib.rs", "mod a;\nmod b;\nmod c;\npub use a::{A, C};\n");
@@ -469,7 +471,8 @@ fn a_circle_is_found_and_a_re_export_is_none() {
     assert!(circles(dir.path()).is_empty());
 }
 
-/// A check that cannot run is a failure if `CI` is set. Machines of continuous integration need not set it.
+/// Tests that a check which cannot run is a failure if `CI` is set. Machines of continuous integration need
+/// not set it themselves.
 #[test]
 fn ci_program_sets_ci() {
     use std::os::unix::fs::PermissionsExt as _;

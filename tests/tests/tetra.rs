@@ -1,4 +1,4 @@
-//! Cells between surfaces, and what is seen from points: built, checked, looked at, tampered with.
+//! Tests of cells between surfaces and of point queries: built, checked, queried, and altered.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,7 +8,7 @@ use base64::Engine as _;
 use serde_json::{Value, json};
 use sightline_tests::{Sandbox, assert_same};
 
-/// A folder with a town, and its cells.
+/// Returns a folder with a town and its cells.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 2000 -o town.glb");
@@ -32,7 +32,7 @@ fn sum(numbers: &Value) -> f64 {
 }
 
 #[test]
-fn cells_are_the_same_on_any_threads_and_pass_the_checker() {
+fn cells_are_same_with_any_threads_and_pass_checker() {
     let sandbox = sandbox();
     let one = sandbox.json("tetra town.glb -o one.tets --threads 1 --export town.vtu");
     assert_same(
@@ -50,7 +50,7 @@ fn cells_are_the_same_on_any_threads_and_pass_the_checker() {
         (&report["accepted"], &report["cells"]),
         (&json!(true), &one["cells"])
     );
-    // Every array of the exported file has as many entries as the file says.
+    // The number of entries of every array in the exported file equals the number in the file.
     let text = String::from_utf8(sandbox.read("town.vtu")).unwrap();
     let number = |name: &str| -> usize {
         text.split(&format!("{name}=\""))
@@ -91,7 +91,7 @@ fn cells_are_the_same_on_any_threads_and_pass_the_checker() {
 }
 
 #[test]
-fn both_engines_see_the_same_and_parts_add_up() {
+fn engines_agree_and_parts_add_up() {
     let sandbox = sandbox();
     let target = json!([{"id": "door", "min": [10, 0, 4], "max": [11, 2, 5]}]);
     let mut lines = String::new();
@@ -137,7 +137,7 @@ fn both_engines_see_the_same_and_parts_add_up() {
         }
         assert_eq!(answer["inside"], false);
     }
-    // The last point is in the box itself.
+    // The last point is inside the box.
     assert_eq!(
         exact[3]["targets"],
         json!([{"id": "door", "fraction": 1.0}])
@@ -179,17 +179,17 @@ fn both_engines_see_the_same_and_parts_add_up() {
         );
     }
     assert!(less.iter().any(|a| a["dropped"].as_f64().unwrap() > 0.0));
-    // Under its other name, and with several threads.
+    // The command also accepts the other name of the option, and several threads.
     let other = answers(&sandbox.ok("look town.tets --eyes points.jsonl --threads 2"));
     assert_eq!(ids(&other), ids(&exact));
 }
 
 #[test]
-fn bad_points_angles_and_files_are_refused() {
+fn bad_points_angles_and_files_are_rejected() {
     let sandbox = sandbox();
     sandbox.write("good.jsonl", "{\"point\":[1,2,3]}\n");
     let bad = |line: &str, why: &str| {
-        // Lines of spaces are left out and count.
+        // Blank lines are skipped, but they count in line numbers.
         sandbox.write("bad.jsonl", format!("{{\"point\":[1,2,3]}}\n \n{line}\n\n"));
         sandbox
             .run("look town.tets --points bad.jsonl")
@@ -197,9 +197,9 @@ fn bad_points_angles_and_files_are_refused() {
             .says("line 3")
             .says(why);
     };
-    bad(r#"{"point":[NaN,0,0]}"#, "no query");
+    bad(r#"{"point":[NaN,0,0]}"#, "not a query");
     bad(r#"{"point":[1e39,0,0]}"#, "not a finite number below");
-    bad(r#"{"point":[0,0]}"#, "no query");
+    bad(r#"{"point":[0,0]}"#, "not a query");
     bad(r#"{"point":[0,0,0],"eye":[0,0,0]}"#, "unknown field");
     bad(r#"{"point":[0,0,0],"direction":[0,0,0]}"#, "no length");
     bad(
@@ -220,7 +220,10 @@ fn bad_points_angles_and_files_are_refused() {
         r#"{"point":[0,0,0],"direction":[1,0,0],"fov":1e-6}"#,
         "from 0.0001",
     );
-    bad(r#"[1,[0,0,1],null,null,null,[]]"#, "it is a list");
+    bad(
+        r#"[1,[0,0,1],null,null,null,[]]"#,
+        "the line is a JSON list",
+    );
     sandbox.write("marked.jsonl", "\u{feff}{\"point\":[1,2,3]}\n");
     sandbox.ok("look town.tets --points marked.jsonl");
     sandbox
@@ -248,7 +251,7 @@ fn bad_points_angles_and_files_are_refused() {
             .ok("tetra --check line.obj line.tets")
             .contains("each of 0 triangles")
     );
-    // The nearest double to each number, and the same number back.
+    // Each number is parsed as the nearest double, and is printed as the same number.
     sandbox.write(
         "ulp.jsonl",
         "{\"id\":0.9970588684082031,\"point\":[1,2,3]}\n",
@@ -288,7 +291,7 @@ fn bad_points_angles_and_files_are_refused() {
         .run("look none.tets --points good.jsonl")
         .code(3)
         .says("none.tets");
-    // A file that is neither.
+    // A file that is neither cells nor a result.
     sandbox
         .run("look good.jsonl --points good.jsonl")
         .code(3)
@@ -321,7 +324,7 @@ fn bad_points_angles_and_files_are_refused() {
         .run("tetra town.glb -o x.tets --cull-back-faces")
         .code(2)
         .says("--cull-back-faces");
-    // A result has no cells, and its lines are others.
+    // A result has no such cells, and its input lines have another format.
     sandbox.ok("bake town.glb -o town.pvs --cells 2x1x2 --backend cpu --data-dir data");
     sandbox
         .run("look town.pvs --points good.jsonl --areas")
@@ -335,7 +338,7 @@ fn bad_points_angles_and_files_are_refused() {
 }
 
 #[test]
-fn sets_of_exact_cells_hold_what_is_seen_from_points_in_them() {
+fn exact_sets_contain_triangles_visible_from_points() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --grid 2x2 -o rooms.glb");
     sandbox.ok(

@@ -1,4 +1,4 @@
-//! `sightline plan`, `tile` and `assemble`: a bake without a coordinator, with the bytes of `bake`.
+//! Tests of `sightline plan`, `tile` and `assemble`: a bake without a coordinator, with the bytes of `bake`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,7 +8,8 @@ use sightline_tests::{Sandbox, assert_same};
 
 const ROOMS: &str = "generate rooms --triangles 700 -o rooms.glb";
 
-/// Every kind of plan: tiles that need each other, several tiles, exact tiles, and tiles without a tracer.
+/// The jobs cover every kind of plan: tiles that depend on each other, several tiles, exact tiles, and tiles
+/// without a tracer.
 const JOBS: [(&str, &str); 6] = [
     (
         "lines",
@@ -33,7 +34,7 @@ const JOBS: [(&str, &str); 6] = [
     ("portals", "--cells 2x2x2 --method portals --block-cells 4"),
 ];
 
-/// Returns the needs of the tiles of a plan.
+/// Returns the dependencies of the tiles of a plan.
 fn needs(sandbox: &Sandbox, plan: &str) -> Vec<Vec<usize>> {
     let plan: Value = serde_json::from_slice(&sandbox.read(&format!("{plan}/plan.json"))).unwrap();
     let tiles = plan["tiles"].as_array().unwrap();
@@ -44,7 +45,7 @@ fn needs(sandbox: &Sandbox, plan: &str) -> Vec<Vec<usize>> {
     tiles.iter().map(numbers).collect()
 }
 
-/// Returns the last order that the needs allow: each tile as late as possible in reverse.
+/// Returns the last order that the dependencies permit, from which each tile is computed as late as possible.
 fn backwards(needs: &[Vec<usize>]) -> Vec<usize> {
     let (mut order, mut done) = (Vec::new(), vec![false; needs.len()]);
     while order.len() < needs.len() {
@@ -57,7 +58,7 @@ fn backwards(needs: &[Vec<usize>]) -> Vec<usize> {
 }
 
 #[test]
-fn tiles_in_any_order_give_the_bytes_of_a_bake() {
+fn tiles_in_any_order_give_bytes_of_bake() {
     let sandbox = Sandbox::new();
     sandbox.ok(ROOMS);
     for (name, options) in JOBS {
@@ -97,7 +98,7 @@ fn tiles_are_computed_once_and_by_any_process() {
         (&false.into(), &0.into())
     );
     sandbox.ok("tile plan 1");
-    // The folder can be elsewhere, and the scene's file is needed no more.
+    // The folder can be moved, and the file of the scene is no longer needed.
     std::fs::rename(sandbox.path("plan"), sandbox.path("moved")).unwrap();
     std::fs::remove_file(sandbox.path("rooms.glb")).unwrap();
     std::fs::remove_file(sandbox.path("moved/tiles/0.tile")).unwrap();
@@ -134,16 +135,22 @@ fn damaged_absent_and_foreign_tiles_are_named() {
     sandbox.write("one/tiles/2.tile", sandbox.read("two/tiles/2.tile"));
     assemble().code(3).says("2.tile").says("another job");
     sandbox.write("one/tiles/2.tile", sandbox.read("one/tiles/1.tile"));
-    assemble().code(3).says("2.tile").says("it is tile 1");
+    assemble()
+        .code(3)
+        .says("2.tile")
+        .says("the file contains tile 1");
     std::fs::remove_file(sandbox.path("one/tiles/2.tile")).unwrap();
-    assemble().code(3).says("absent").says("2");
+    assemble().code(3).says("missing").says("2");
     // A damaged tile is computed again.
     sandbox.write("one/tiles/2.tile", b"nonsense");
-    sandbox.run("tile one 2").code(0).says("computed again");
+    sandbox
+        .run("tile one 2")
+        .code(0)
+        .says("computes the tile again");
     assert_same(&sandbox.read("one/tiles/2.tile"), &whole, "the tile");
     sandbox.run("tile one 4").code(2).says("numbered from 0");
     sandbox.run("tile nowhere 0").code(3).says("sightline plan");
-    // A folder holds one bake.
+    // A folder contains one bake.
     let other = "plan rooms.glb --cells 3x1x1 --backend cpu";
     sandbox
         .run(&format!("{other} -o one"))
@@ -153,7 +160,7 @@ fn damaged_absent_and_foreign_tiles_are_named() {
         .run(&format!("{other} --time-budget 5s -o three"))
         .code(2)
         .says("--time-budget");
-    // A tile names the tiles that it needs.
+    // The error of a tile names the absent tiles that it depends on.
     sandbox
         .ok("plan rooms.glb --sampler cubes --cells 2x2x2 --resolution 16 --backend cpu -o cubes");
     let needs = needs(&sandbox, "cubes");
@@ -161,11 +168,11 @@ fn damaged_absent_and_foreign_tiles_are_named() {
     sandbox
         .run(&format!("tile cubes {last}"))
         .code(3)
-        .says("compute them first");
+        .says("compute these tiles first");
 }
 
 #[test]
-fn plan_in_bucket_gives_the_same_bytes() {
+fn plan_in_bucket_gives_same_bytes() {
     let mut sandbox = Sandbox::new();
     sandbox.set("AWS_ACCESS_KEY_ID", KEY);
     sandbox.set("AWS_SECRET_ACCESS_KEY", SECRET);
@@ -180,7 +187,7 @@ fn plan_in_bucket_gives_the_same_bytes() {
     sandbox
         .run(&format!("assemble {place} -o joined.pvs"))
         .code(3)
-        .says("absent");
+        .says("missing");
     for tile in 0..2 {
         sandbox.ok(&format!("tile {place} {tile}"));
     }

@@ -1,5 +1,5 @@
-//! Traces of jobs that several processes send to one collector: whole trees, without secrets, and at no cost
-//! where the collector is away.
+//! Tests of traces of jobs that several processes send to one collector: complete trees without secrets, and
+//! no cost if the collector is absent.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -8,11 +8,12 @@ use std::time::Instant;
 
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_tests::{Collector, Sandbox, Taken, assert_same, wait_for};
+use sightline_tests::{Collector, ReceivedSpan, Sandbox, assert_same, wait_for};
 
-/// Eight tiles.
+/// The job has eight tiles.
 const JOB: &str = "town.glb --cells 4x4x2 --block-cells 4 --target-error 0.1 --backend cpu";
-/// How much later than its lease a worker's span may end: the answer to its upload is on the way.
+/// The maximum delay from the end of a lease to the end of its worker's span, in nanoseconds. The span
+/// includes the answer to the upload.
 const ON_THE_WAY: u64 = 500_000_000;
 
 fn sandbox() -> Sandbox {
@@ -21,8 +22,8 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// What has arrived of a job's trace, once its whole and as many of the others have as there must be.
-fn whole(collector: &Collector, others: &[(&str, usize)]) -> Vec<Taken> {
+/// Waits for the span of a whole job and for the given numbers of other spans. Returns all received spans.
+fn whole(collector: &Collector, others: &[(&str, usize)]) -> Vec<ReceivedSpan> {
     wait_for("all spans", || {
         let taken = collector.taken();
         let count = |name: &str| taken.iter().filter(|span| span.name == name).count();
@@ -31,21 +32,22 @@ fn whole(collector: &Collector, others: &[(&str, usize)]) -> Vec<Taken> {
     })
 }
 
-/// The same, and the parents of all: each process sends its spans in its own time, so a parent may come last.
-fn whole_tree(collector: &Collector, others: &[(&str, usize)]) -> Vec<Taken> {
+/// Waits like [`whole`], and also for the parents of all spans. Each process sends its spans at its own time,
+/// so a parent may arrive last.
+fn whole_tree(collector: &Collector, others: &[(&str, usize)]) -> Vec<ReceivedSpan> {
     wait_for("all parents", || {
         let taken = whole(collector, others);
         let there: BTreeSet<&str> = taken.iter().map(|span| span.ids[1].as_str()).collect();
         let is_there =
-            |span: &Taken| span.ids[2].is_empty() || there.contains(span.ids[2].as_str());
+            |span: &ReceivedSpan| span.ids[2].is_empty() || there.contains(span.ids[2].as_str());
         let is_tree = taken.iter().all(is_there);
         is_tree.then_some(taken)
     })
 }
 
-/// Panics unless the spans are one tree below `job`, and last as long as what they are part of.
-fn assert_tree(taken: &[Taken]) {
-    let by_id: BTreeMap<&str, &Taken> = taken
+/// Panics unless the spans are one tree below `job`, and each span lies within its parent's time.
+fn assert_tree(taken: &[ReceivedSpan]) {
+    let by_id: BTreeMap<&str, &ReceivedSpan> = taken
         .iter()
         .map(|span| (span.ids[1].as_str(), span))
         .collect();
@@ -59,7 +61,7 @@ fn assert_tree(taken: &[Taken]) {
         1,
         "one trace"
     );
-    let roots: Vec<&Taken> = taken.iter().filter(|span| span.ids[2].is_empty()).collect();
+    let roots: Vec<&ReceivedSpan> = taken.iter().filter(|span| span.ids[2].is_empty()).collect();
     assert_eq!(
         roots
             .iter()
@@ -90,7 +92,7 @@ fn assert_tree(taken: &[Taken]) {
             other => unreachable!("a span {other}"),
         };
         assert_eq!(parent.name, below, "{span:?}");
-        // The scene goes ahead of its job, and the record's time has milliseconds.
+        // The scene is uploaded before its job exists, and the time of the record has milliseconds.
         let ahead = matches!(
             (span.name.as_str(), below),
             ("submit" | "plan" | "wait", "job")
@@ -99,7 +101,7 @@ fn assert_tree(taken: &[Taken]) {
             ahead || begin >= parent.times[0],
             "{span:?} begins before {parent:?}"
         );
-        // A worker whose waiting tile went to another one looks at it again after the tile before.
+        // A worker whose waiting tile was given to another one notices this only after its previous tile.
         let late = span
             .attributes
             .get("sightline.end")
@@ -117,12 +119,12 @@ fn assert_tree(taken: &[Taken]) {
     }
 }
 
-fn named<'a>(taken: &'a [Taken], name: &'a str) -> impl Iterator<Item = &'a Taken> {
+fn named<'a>(taken: &'a [ReceivedSpan], name: &'a str) -> impl Iterator<Item = &'a ReceivedSpan> {
     taken.iter().filter(move |span| span.name == name)
 }
 
-/// The processes of a kind that have sent spans.
-fn instances<'a>(taken: &'a [Taken], service: &str) -> BTreeSet<&'a str> {
+/// Returns the instances of a service that have sent spans.
+fn instances<'a>(taken: &'a [ReceivedSpan], service: &str) -> BTreeSet<&'a str> {
     taken
         .iter()
         .filter(|span| span.service == service)
@@ -131,7 +133,7 @@ fn instances<'a>(taken: &'a [Taken], service: &str) -> BTreeSet<&'a str> {
 }
 
 #[test]
-fn a_job_is_one_tree_across_processes_without_secrets() {
+fn job_is_one_tree_across_processes_without_secrets() {
     let mut sandbox = sandbox();
     let token = |user: &str, scope: &str| {
         let text = sandbox.ok(&format!(
@@ -171,7 +173,7 @@ fn a_job_is_one_tree_across_processes_without_secrets() {
     for once in ["job", "plan", "submit", "assemble"] {
         assert_eq!(counts(once), 1, "{once}");
     }
-    let done = |span: &&Taken| span.attributes["sightline.end"] == "done";
+    let done = |span: &&ReceivedSpan| span.attributes["sightline.end"] == "done";
     for (name, least) in [
         ("wait", 8),
         ("lease", 8),
@@ -182,7 +184,7 @@ fn a_job_is_one_tree_across_processes_without_secrets() {
         assert!(counts(name) >= least, "{name}: {}", counts(name));
     }
     assert_eq!(named(&taken, "commit").filter(done).count(), 8);
-    // The scene once, and the outputs of the tiles.
+    // The scene is uploaded once, and each tile's output once.
     assert!(counts("upload") >= 9);
     assert!(
         named(&taken, "fetch").any(|span| span.service == "sightline-worker"),
@@ -195,7 +197,7 @@ fn a_job_is_one_tree_across_processes_without_secrets() {
     );
     assert_eq!(instances(&taken, "sightline-coordinator").len(), 1);
     assert_eq!(instances(&taken, "sightline-submit").len(), 1);
-    // The same words and numbers as elsewhere.
+    // The span has the same words and numbers as the other outputs.
     let shown = coordinator.json(&format!("show {job}"));
     let root = named(&taken, "job").next().unwrap();
     assert_eq!(shown["trace"].as_str(), Some(root.ids[0].as_str()));
@@ -222,14 +224,14 @@ fn a_job_is_one_tree_across_processes_without_secrets() {
 }
 
 #[test]
-fn a_trace_goes_on_after_a_coordinator_was_killed() {
+fn trace_continues_after_killed_coordinator() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 20000 -o town.glb");
     let collector = Collector::new();
     let traces = format!("--traces {}", collector.url());
     let coordinator = sandbox.serve("data", &format!("--listen 127.0.0.1:0 {traces}"));
     let address = coordinator.address();
-    // 64 tiles, some seconds.
+    // The job has 64 tiles and lasts several seconds.
     let job = "town.glb --cells 8x8x4 --block-cells 4 --target-error 0.0003 --backend cpu";
     let job = coordinator.submit(job);
     let _worker = coordinator.start(&format!("worker --backend cpu --threads 1 {traces}"));
@@ -267,7 +269,7 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
         1,
         "of one trace"
     );
-    let roots: Vec<&Taken> = taken.iter().filter(|span| span.ids[2].is_empty()).collect();
+    let roots: Vec<&ReceivedSpan> = taken.iter().filter(|span| span.ids[2].is_empty()).collect();
     assert_eq!(
         roots
             .iter()
@@ -276,9 +278,11 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
         ["job"]
     );
     assert_eq!(before["trace"].as_str(), Some(roots[0].ids[0].as_str()));
-    // What was committed after the restart is below its lease, whoever gave it.
-    let second =
-        |span: &&Taken| span.service == "sightline-coordinator" && !first.contains(&span.instance);
+    // An output that was committed after the restart is below its lease, regardless of the coordinator that
+    // granted it.
+    let second = |span: &&ReceivedSpan| {
+        span.service == "sightline-coordinator" && !first.contains(&span.instance)
+    };
     let since = named(&taken, "commit")
         .filter(second)
         .map(|span| span.times[0])
@@ -287,8 +291,9 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
     let leases: BTreeSet<&str> = named(&taken, "lease")
         .map(|span| span.ids[1].as_str())
         .collect();
-    let done = |span: &&Taken| span.attributes["sightline.end"] == "done" && span.times[1] > since;
-    let after: Vec<&Taken> = named(&taken, "tile").filter(done).collect();
+    let done =
+        |span: &&ReceivedSpan| span.attributes["sightline.end"] == "done" && span.times[1] > since;
+    let after: Vec<&ReceivedSpan> = named(&taken, "tile").filter(done).collect();
     assert!(!after.is_empty());
     assert!(
         after
@@ -299,7 +304,7 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
 }
 
 #[test]
-fn helpers_of_a_crew_are_below_the_lease_of_their_leader() {
+fn helpers_of_crew_are_below_lease_of_leader() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 60000 -o town.glb");
     let collector = Collector::new();
@@ -327,10 +332,10 @@ fn helpers_of_a_crew_are_below_the_lease_of_their_leader() {
 }
 
 #[test]
-fn a_bake_in_one_process_sends_a_tree_too() {
+fn bake_in_one_process_sends_tree() {
     let sandbox = sandbox();
     let collector = Collector::new();
-    // Tiles of cubes need others, and wait for them.
+    // Tiles of cubes depend on other tiles, and wait for them.
     let job = "town.glb --cells 2x2x1 --sampler cubes --resolution 32 --backend cpu";
     sandbox.ok(&format!(
         "bake {job} -o traced.pvs --data-dir one --traces {}",
@@ -342,7 +347,7 @@ fn a_bake_in_one_process_sends_a_tree_too() {
         &sandbox.read("alone.pvs"),
         "with traces and without",
     );
-    // Nothing is sent after the end.
+    // No span is sent after the end.
     let taken = collector.taken();
     assert_tree(&taken);
     for name in [
@@ -360,7 +365,7 @@ fn a_bake_in_one_process_sends_a_tree_too() {
 }
 
 #[test]
-fn a_collector_that_is_away_or_silent_costs_a_line_in_the_log() {
+fn absent_or_silent_collector_costs_only_log_line() {
     let sandbox = sandbox();
     let bake = |name: &str, more: &str| {
         let began = Instant::now();
@@ -373,7 +378,7 @@ fn a_collector_that_is_away_or_silent_costs_a_line_in_the_log() {
     };
     let (_, alone, bytes) = bake("alone", "");
     let silent = Collector::silent();
-    // Nobody listens where one has listened.
+    // No server listens at this address, which a collector has used.
     let gone = Collector::new().url().to_owned();
     for (name, url) in [("gone", gone.as_str()), ("silent", silent.url())] {
         let (run, took, same) = bake(name, &format!("--traces {url}"));
@@ -386,7 +391,7 @@ fn a_collector_that_is_away_or_silent_costs_a_line_in_the_log() {
                 .any(|line| line.contains("spans have not reached")),
             "{name}: {lines:?}"
         );
-        // The end waits two seconds for one that is silent.
+        // At its end, a process waits two seconds for a silent collector.
         assert!(
             took < alone * 3 + std::time::Duration::from_secs(10),
             "{name}: {took:?}, {alone:?} without"
@@ -395,7 +400,7 @@ fn a_collector_that_is_away_or_silent_costs_a_line_in_the_log() {
 }
 
 #[test]
-fn an_address_that_is_none_is_refused_without_its_password() {
+fn invalid_address_is_rejected_without_its_password() {
     let sandbox = sandbox();
     let bake = |url: &str| {
         sandbox
@@ -405,19 +410,20 @@ fn an_address_that_is_none_is_refused_without_its_password() {
             .code(2)
     };
     bake("127.0.0.1:4317").says("cannot be a collector's address");
-    let run = bake("http://ada:hunter2@127.0.0.1:4317").says("must not hold a user or a password");
+    let run =
+        bake("http://ada:hunter2@127.0.0.1:4317").says("must not contain a user or a password");
     assert!(!run.err.contains("hunter2"), "{}", run.err);
 }
 
 #[test]
-fn a_submission_points_to_what_led_to_it() {
+fn submission_links_to_its_cause() {
     let sandbox = sandbox();
     let collector = Collector::new();
     let coordinator = sandbox.serve(
         "data",
         &format!("--listen 127.0.0.1:0 --traces {}", collector.url()),
     );
-    // A client that sends no traces, for the scene.
+    // A client without traces, which uploads the scene.
     let job = coordinator.submit(JOB);
     let scene = coordinator.json(&format!("show {job}"))["scene"]
         .as_str()
@@ -452,26 +458,27 @@ fn a_submission_points_to_what_led_to_it() {
         .unwrap();
     let job = runtime.block_on(submit(&format!("00-{}-{}-01", parent[0], parent[1])));
     let plans = wait_for("both plans", || {
-        let plans: Vec<Taken> = named(&collector.taken(), "plan").cloned().collect();
+        let plans: Vec<ReceivedSpan> = named(&collector.taken(), "plan").cloned().collect();
         (plans.len() == 2).then_some(plans)
     });
     let hex: String = job.trace.iter().map(|byte| format!("{byte:02x}")).collect();
-    let (linked, plain): (Vec<&Taken>, Vec<&Taken>) =
+    let (linked, plain): (Vec<&ReceivedSpan>, Vec<&ReceivedSpan>) =
         plans.iter().partition(|span| span.ids[0] == hex);
     assert_eq!(linked[0].links, [parent.map(str::to_owned)]);
     assert!(plain[0].links.is_empty());
 }
 
-/// `cargo test --release --workspace --test traces -- --ignored --nocapture what_traces_cost`
+/// Measures the cost of traces:
+/// `cargo test --release --workspace --test traces -- --ignored --nocapture measures_cost_of_traces`.
 #[test]
 #[ignore = "a measurement of minutes"]
 #[allow(clippy::print_stdout, reason = "a measurement")]
-fn what_traces_cost() {
+fn measures_cost_of_traces() {
     const ROUNDS: usize = 6;
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 20000 -o town.glb");
     let collector = Collector::new();
-    // Many small tiles: 64 of 8 cells.
+    // Use many small tiles: 64 tiles of 8 cells.
     let job = "town.glb --cells 8x8x8 --block-cells 8 --target-error 0.02 --backend cpu";
     let mut seconds = [Vec::new(), Vec::new()];
     for round in 0..ROUNDS {
@@ -486,7 +493,7 @@ fn what_traces_cost() {
         }
     }
     for (what, mut seconds) in ["without", "with"].into_iter().zip(seconds) {
-        // The first round warms the disk up.
+        // The first round warms up the disk.
         seconds.remove(0);
         seconds.sort_by(f64::total_cmp);
         println!(

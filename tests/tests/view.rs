@@ -1,14 +1,14 @@
-//! `sightline view`: the page in a browser: what it draws, what it says when something is clicked, and what
-//! it says about bad input.
+//! Tests of `sightline view`: the page in a browser, its pictures, its answers to clicks, and its messages
+//! about bad input.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use sightline_tests::{Browser, Sandbox, across, ask, house, wait_for};
 
-/// The scene and its exact result with a cell in each room.
+/// Returns a folder with the scene and its exact result, with a cell in each room.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
-    // A wall at x = 2 leaves y from 1 to 2 open; the shelf stands behind it.
+    // A wall at x = 2 leaves y from 1 to 2 open; the shelf is behind the wall.
     let shelf = [
         [2.2, 0.1, 0.5],
         [2.5, 0.1, 0.5],
@@ -40,14 +40,14 @@ fn text(browser: &Browser, id: &str) -> String {
 }
 
 #[test]
-fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
+fn page_shows_cell_and_answers_clicks_without_errors() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs house.obj --cell 0 -o house.html");
     let Some(browser) = Browser::start([1000, 700]) else {
         return;
     };
     browser.open(&format!("file://{}", sandbox.path("house.html").display()));
-    // Looks east, at the wall and over it.
+    // The camera looks east, at the wall and over it.
     let ready =
         "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]); return page !== null;";
     assert_eq!(browser.run(ready), true);
@@ -56,7 +56,7 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     let state = |script: &str| browser.run(&format!("const page = await sightline; {script}"));
     let dump = sandbox.dump("house.pvs");
     assert_eq!(state("return page.drawn"), dump.cells[0].visible.len());
-    // The shelf is behind the wall, low; all but its two triangles are seen.
+    // The shelf is behind the wall, below the opening. All triangles except its two are visible.
     assert!(dump.cells[0].visible.len() < 16);
     let shelf = "page.choose(page.pvs.objects.find((o) => o.name === 'shelf').first);";
     state(shelf);
@@ -65,7 +65,7 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
         why.contains("“shelf” is hidden from cell 0") && why.contains("“wall”"),
         "{why}"
     );
-    // A click in the middle of the window meets the wall or what is seen over it.
+    // A click in the middle of the window hits the wall or an object above it.
     browser.click(700, 350);
     let why = text(&browser, "why");
     assert!(
@@ -73,7 +73,7 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
         "{why}"
     );
     assert_eq!(state("return page.answer.seen.length"), 3);
-    // What is hidden is red only when it is asked for.
+    // Hidden triangles are red only on request.
     let reds = "const gl = page.renderer.gl, w = gl.drawingBufferWidth, h = gl.drawingBufferHeight;
         const p = new Uint8Array(4 * w * h);
         page.choose(-1); page.draw(); gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, p); let n = 0;
@@ -82,7 +82,7 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
         }
         return n;";
     assert_eq!(state(reds), 0);
-    // From above the wall, with the set frozen, the shelf would be in view.
+    // From above the wall, with the frozen set, the shelf would be in view.
     let over =
         "document.getElementById('freeze').click(); page.jump([1.9, 1.9, 0.75], [0.3, -1, 0]);";
     state(&format!(
@@ -94,7 +94,7 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
         state("document.getElementById('hidden').click(); return page.cell"),
         0
     );
-    // Another cell, from the panel.
+    // Select another cell in the panel.
     state(
         "document.getElementById('freeze').click(); document.getElementById('cell').value = 1;
         document.getElementById('go').click();",
@@ -108,9 +108,9 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     assert_eq!(browser.messages(), Vec::<String>::new());
 }
 
-/// What the page's rays say of a scene of their own: 1×1 walls with a hole of 0.2, or nothing that blocks.
+/// Tests the page's rays in a separate scene: 1×1 walls with a hole of 0.2, or a scene without blockers.
 #[test]
-fn rays_find_the_hole_and_end_where_nothing_blocks() {
+fn rays_find_hole_and_end_without_blockers() {
     let sandbox = Sandbox::new();
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
@@ -137,7 +137,7 @@ fn rays_find_the_hole_and_end_where_nothing_blocks() {
          const seen = why(tracer, box, from, [8, 9]);
          const near = why(tracer, box, {{ ...from, far: 1 }}, [8, 9]);
          const none = new Tracer(at, new Uint8Array(10));
-         // Along the border of the wall's boxes, in both directions of a coordinate that is 0.
+         // Rays along the border of the wall's boxes, in both directions of a coordinate that is 0.
          const level = [[1, 0, 0], [1, -0, -0]].map((d) => tracer.first_hit([0, 0.4, 0], d)[1]);
          const {{ width }} = opening(tracer, seen.seen, 3);
          globalThis.answer = {{ seen: seen.seen.length, width, near: near.rays,
@@ -160,9 +160,9 @@ fn rays_find_the_hole_and_end_where_nothing_blocks() {
     assert_eq!(answer["level"], serde_json::json!([1, 1]));
 }
 
-/// No hidden triangle of an exact result is called seen, and a scene of glass opens.
+/// Tests that the page calls no hidden triangle of an exact result visible, and that a scene of glass opens.
 #[test]
-fn exact_results_are_not_accused() {
+fn exact_results_are_not_contradicted() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate rooms --grid 3x2 --triangles 1500 -o rooms.glb");
     sandbox.ok(
@@ -200,7 +200,7 @@ fn exact_results_are_not_accused() {
 }
 
 #[test]
-fn a_picture_is_the_same_every_time_and_differs_between_cells() {
+fn picture_is_reproducible_and_differs_between_cells() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs house.obj -o house.html");
     let Some(browser) = Browser::start([800, 600]) else {
@@ -221,7 +221,7 @@ fn a_picture_is_the_same_every_time_and_differs_between_cells() {
 }
 
 #[test]
-fn a_served_page_answers_its_own_name_alone() {
+fn served_page_accepts_only_its_own_name() {
     let sandbox = sandbox();
     let view = sandbox.start("view house.pvs house.obj --no-open");
     let line = wait_for("the address of the page", || {
@@ -245,7 +245,7 @@ fn a_served_page_answers_its_own_name_alone() {
         browser.run("return document.title"),
         "house.pvs – house.obj"
     );
-    // The server decides exactly what is clicked.
+    // The server decides the visibility of the clicked triangle exactly.
     let asked = |object: &str, first: &str| {
         browser.run(&format!(
             "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]);
@@ -305,7 +305,7 @@ fn a_served_page_answers_its_own_name_alone() {
 }
 
 #[test]
-fn without_a_scene_cells_are_drawn() {
+fn cells_are_drawn_without_scene() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs -o cells.html");
     let Some(browser) = Browser::start([800, 600]) else {
@@ -318,7 +318,7 @@ fn without_a_scene_cells_are_drawn() {
 }
 
 #[test]
-fn bad_input_is_told() {
+fn bad_input_is_reported() {
     let sandbox = sandbox();
     sandbox.ok("generate rooms --grid 2x2 --triangles 800 -o other.glb");
     sandbox
@@ -337,7 +337,7 @@ fn bad_input_is_told() {
     sandbox
         .run("view house.pvs house.obj --worst worst.json -o x.html")
         .code(3)
-        .says("no list \"worst\"");
+        .says("the list \"worst\" is missing");
     sandbox
         .run("view house.pvs house.obj -o house.obj")
         .code(2)

@@ -1,4 +1,4 @@
-//! What those see who watch a farm: metrics, readiness, logs, and workers whose results are checked.
+//! Tests of the monitoring of a farm: metrics, readiness, logs, and workers whose results are checked.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -9,7 +9,7 @@ use sightline_tests::{Sandbox, ask, assert_same, wait_for};
 
 const JOB: &str = "town.glb --cells 4x4x2 --block-cells 4 --target-error 0.1 --backend cpu";
 
-/// The address after `metrics on` in what a process has printed.
+/// Returns the address after `metrics on` in the output of a process.
 fn metrics_of(out: &str) -> Option<String> {
     let line = out.lines().find(|line| line.starts_with("metrics on "))?;
     Some(address_of(line.trim_start_matches("metrics on ")))
@@ -22,7 +22,7 @@ fn address_of(metrics: &str) -> String {
         .to_owned()
 }
 
-/// The samples of a page of metrics, by name with labels.
+/// Returns the samples of a page of metrics, by name with labels.
 fn samples(at: &str) -> BTreeMap<String, f64> {
     let (status, body) = ask(at, "GET /metrics", "", "");
     assert_eq!(status, 200);
@@ -39,7 +39,7 @@ fn samples(at: &str) -> BTreeMap<String, f64> {
 }
 
 #[test]
-fn metrics_follow_a_job_and_the_log_is_json() {
+fn metrics_follow_job_and_log_is_json() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     let arguments =
@@ -70,7 +70,7 @@ fn metrics_follow_a_job_and_the_log_is_json() {
     assert!(tiles > 1.0);
     assert_eq!(sum("sightline_tile_seconds_count"), tiles);
     assert_eq!(now["sightline_jobs_ended_total{state=\"done\"}"], 1.0);
-    // Every tile was computed twice, each time by somebody else.
+    // Every tile was computed twice, each time by another worker.
     assert_eq!(now["sightline_spot_checks_total{outcome=\"same\"}"], tiles);
     assert!(sum("sightline_workers{") >= 2.0 && now["sightline_ready"] == 1.0);
     assert!(now["sightline_requests_total{method=\"Jobs/Submit\",code=\"OK\"}"] >= 1.0);
@@ -93,7 +93,7 @@ fn metrics_follow_a_job_and_the_log_is_json() {
     let submitted: Value = serde_json::from_str(submitted).unwrap();
     assert_eq!(submitted["span"]["method"], "Jobs/Submit");
     assert!(!submitted["span"]["id"].as_str().unwrap().is_empty());
-    // The time line has each tile twice.
+    // The time line contains each tile twice.
     let trace: Value =
         serde_json::from_str(&coordinator.ok(&format!("logs {job} --trace"))).unwrap();
     let spans = trace["traceEvents"]
@@ -105,7 +105,7 @@ fn metrics_follow_a_job_and_the_log_is_json() {
 }
 
 #[test]
-fn a_store_is_verified_moved_and_compacted() {
+fn store_is_verified_moved_and_compacted() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     let bytes = {
@@ -113,25 +113,28 @@ fn a_store_is_verified_moved_and_compacted() {
         let _worker = coordinator.worker();
         let job = coordinator.submit(JOB);
         let bytes = coordinator.finish(job);
-        // The directory is in use.
+        // The directory is in use, so the command fails.
         sandbox
             .run("store verify --data-dir data")
             .code(3)
             .says("in use by another coordinator");
-        // What is not believed is computed again, with the same bytes.
+        // Invalidated tiles are computed again, with the same bytes.
         coordinator.ok(&format!("invalidate {job}"));
         assert_same(&coordinator.finish(job), &bytes, "computed again");
         coordinator.run("invalidate").code(2);
         coordinator
             .run("invalidate 77")
             .code(4)
-            .says("job 77 is not known");
-        // 0 is the number of no job, and does not stand for all of them.
+            .says("job 77 does not exist");
+        // The number 0 is not a job, and does not mean all jobs.
         coordinator
             .run("invalidate 0 --worker any")
             .code(4)
-            .says("job 0 is not known");
-        coordinator.run("logs 0").code(4).says("job 0 is not known");
+            .says("job 0 does not exist");
+        coordinator
+            .run("logs 0")
+            .code(4)
+            .says("job 0 does not exist");
         coordinator
             .run("workers --release nobody")
             .code(3)
@@ -142,20 +145,20 @@ fn a_store_is_verified_moved_and_compacted() {
     assert_eq!((&found["scenes"], &found["jobs"]), (&1.into(), &1.into()));
     assert_eq!(found["lost"].as_array().unwrap().len(), 0);
     sandbox.ok("store compact --data-dir data");
-    // A store that was moved by export, import and a copy of the blobs goes on.
+    // A store that was moved by export, import and a copy of the blobs continues.
     sandbox.ok("store export --data-dir data -o records.json");
     sandbox.ok("store import records.json --data-dir moved");
     sandbox
         .run("store import records.json --data-dir moved")
         .code(3)
-        .says("only while it is empty");
+        .says("cannot import another store");
     std::fs::rename(sandbox.path("data/blobs"), sandbox.path("moved/blobs")).unwrap();
     {
         let coordinator = sandbox.coordinator("moved", "127.0.0.1:0");
         coordinator.ok("fetch 1 -o moved.pvs");
         assert_same(&sandbox.read("moved.pvs"), &bytes, "moved");
     }
-    // A flipped bit in the result is found, and the result computed again.
+    // A flipped bit in the result is detected, and the result is computed again.
     let result = std::fs::read_dir(sandbox.path("moved/blobs")).unwrap();
     let files: Vec<_> = result.flatten().flat_map(|d| walk(&d.path())).collect();
     let of_result = files
@@ -168,12 +171,12 @@ fn a_store_is_verified_moved_and_compacted() {
     sandbox
         .run("store verify --data-dir moved")
         .code(3)
-        .says("first the result of job 1");
+        .says("the first is the result of job 1");
     sandbox.ok("store verify --data-dir moved --repair");
     let coordinator = sandbox.coordinator("moved", "127.0.0.1:0");
     let _worker = coordinator.worker();
     assert_same(&coordinator.finish(1), &bytes, "repaired");
-    // Altered exports are refused.
+    // Altered exports are rejected.
     let text = String::from_utf8(sandbox.read("records.json")).unwrap();
     sandbox.write("cut.json", &text[..text.len() / 2]);
     sandbox
@@ -186,14 +189,14 @@ fn a_store_is_verified_moved_and_compacted() {
     sandbox
         .run("store import other.json --data-dir other")
         .code(3)
-        .says("no export of a store");
+        .says("not an export of a store");
     sandbox
         .run("store verify --data-dir nowhere")
         .code(3)
-        .says("no data directory");
+        .says("not a data directory");
 }
 
-/// The files below a folder.
+/// Returns the files below a folder.
 fn walk(path: &std::path::Path) -> Vec<std::path::PathBuf> {
     if !path.is_dir() {
         return vec![path.to_owned()];
@@ -206,7 +209,7 @@ fn walk(path: &std::path::Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
-fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
+fn copy_from_middle_of_job_continues() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
@@ -224,11 +227,11 @@ fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
             )
             .unwrap();
         }
-        // The job may end now, which removes outputs that the copied journal names.
+        // The end of the job removes outputs that the copied journal references.
         coordinator.finish(job);
         copy(&sandbox.path("data/blobs"), &backup.join("blobs"));
     }
-    // Nothing is lost for good: the scene is there.
+    // The loss can be repaired, because the scene exists.
     sandbox.ok("store verify --repair --data-dir backup");
     let coordinator = sandbox.coordinator("backup", "127.0.0.1:0");
     let _worker = coordinator.worker();

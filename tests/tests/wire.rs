@@ -1,5 +1,5 @@
-//! The gRPC interface as other programs use it: status codes, conflicting results, tiles that fail. Tests
-//! with malformed messages are in `nonsense.rs`.
+//! Tests of the gRPC interface as other programs use it: status codes, conflicting results, and failing
+//! tiles. Tests with malformed messages are in `nonsense.rs`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -30,7 +30,7 @@ fn scene_of(digest: &[u8]) -> v1::FetchSceneRequest {
     }
 }
 
-/// Returns the introduction of a worker that lies.
+/// Returns the introduction of a worker that returns wrong results.
 fn liar(profiles: &[String]) -> v1::Hello {
     v1::Hello {
         name: "liar".to_owned(),
@@ -70,7 +70,7 @@ fn refused<T>(answer: Result<T, Status>, code: Code) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn requests_are_refused_with_the_right_code() {
+async fn invalid_requests_are_rejected_with_right_code() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
@@ -80,7 +80,7 @@ async fn requests_are_refused_with_the_right_code() {
         WorkersClient::new(channel),
     );
 
-    // Chunks: damaged on the way, too large, good, and good again.
+    // Chunks: damaged in transit, too large, good, and good again.
     let mut damaged = chunk(b"some bytes");
     damaged.crc32c ^= 1;
     refused(
@@ -122,7 +122,7 @@ async fn requests_are_refused_with_the_right_code() {
         Code::DataLoss,
     );
 
-    // Digests: malformed, of no blob, of a blob that is no scene.
+    // Digests: malformed, without a blob, and of a blob that is not a scene.
     for length in [0, 1, 31, 33, 1000] {
         let bad = vec![7; length];
         let request = v1::MissingChunksRequest {
@@ -217,7 +217,7 @@ async fn requests_are_refused_with_the_right_code() {
     };
     let answer = submit("good", &|_| {}).await.unwrap().into_inner();
     assert!(answer.existing && answer.job.unwrap().id == good);
-    // Without a name of its own a request is known by its job.
+    // A submission without a request id is identified by its job.
     assert!(submit("", &|_| {}).await.unwrap().into_inner().existing);
     refused(
         submit(&"long".repeat(100), &|_| {}).await,
@@ -260,7 +260,7 @@ async fn requests_are_refused_with_the_right_code() {
         ..Default::default()
     };
     refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
-    // Exact queries take triangles as seen from both sides.
+    // Exact queries need triangles that are visible from both sides.
     let culled = coordinator.submit(&format!("{JOB} --cull-back-faces --request-id culled"));
     let culled = jobs
         .clone()
@@ -280,14 +280,14 @@ async fn requests_are_refused_with_the_right_code() {
         }));
     };
     assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("both sides"));
-    // An empty view box stands for the scene's bounds, as on the command line.
+    // Without a view box, the job uses the scene's bounds, as on the command line.
     let answer = submit("j", &|s| spec::cube_grid(s).view_box.clear())
         .await
         .unwrap()
         .into_inner();
     assert!(answer.existing && answer.job.unwrap().id == good);
 
-    // Results without a header, for no lease, for no job.
+    // Results without a header, without a lease, and without a job.
     let part = |part| v1::ResultPart { part: Some(part) };
     let header = |lease| {
         v1::result_part::Part::Header(v1::ResultHeader {
@@ -315,7 +315,7 @@ async fn requests_are_refused_with_the_right_code() {
         put(vec![part(header(None)), body()]).await,
         Code::InvalidArgument,
     );
-    // Whatever follows, the lease is checked first.
+    // The lease is checked first, regardless of the following parts.
     refused(
         put(vec![part(header(lease(good)))]).await,
         Code::FailedPrecondition,
@@ -329,7 +329,7 @@ async fn requests_are_refused_with_the_right_code() {
         Code::FailedPrecondition,
     );
 
-    // A worker that does not introduce itself properly.
+    // Workers with an invalid introduction.
     let want = v1::worker_message::Message::Want(v1::Want { tiles: 1 });
     let hello = |name: &str, profiles: &[&str]| {
         v1::worker_message::Message::Hello(v1::Hello {
@@ -435,7 +435,7 @@ async fn health_and_reflection_answer() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_result_for_a_tile_is_kept_out() {
+async fn second_result_of_tile_is_rejected() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
@@ -452,7 +452,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     });
     honest.kill();
     let job = coordinator.submit(JOB);
-    // The liar gets the first tiles and gives them back. Its leases stay given.
+    // The faulty worker receives the first tiles and returns them. Its leases stay granted.
     let mut olds = Vec::new();
     {
         let mut workers = WorkersClient::new(connect(&coordinator).await);
@@ -491,7 +491,8 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     );
     coordinator.ok(&format!("resume {job}"));
 
-    // This worker claims the same profile and asks for tiles until it gets one that needs finished tiles.
+    // This worker claims the same profile and requests tiles until it receives one that depends on finished
+    // tiles.
     use v1::coordinator_message::Message as Heard;
     use v1::worker_message::Message as Said;
     let mut workers = WorkersClient::new(connect(&coordinator).await);
@@ -560,10 +561,10 @@ async fn a_second_result_for_a_tile_is_kept_out() {
             .collect();
         workers.put_result(tokio_stream::iter(parts)).await
     };
-    // A well-formed pack of no samples: a zstd frame of one raw block.
+    // A well-formed pack without samples: a zstd frame of one raw block.
     let empty = b"\x28\xb5\x2f\xfd\x20\x02\x11\x00\x00P\x00";
     refused(put(finished, empty, empty).await, Code::Aborted);
-    // The same result again is accepted.
+    // The same result, sent again, is accepted.
     put(finished, &genuine, &genuine).await.unwrap();
     for lease in [finished, lease] {
         refused(
@@ -603,7 +604,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
         );
     }
     if plan.tiles[lease.tile as usize].kind == sightline_viewcells::TileKind::Leaf {
-        // Samples in place of cells.
+        // A pack of samples in place of cells.
         refused(put(lease, empty, empty).await, Code::InvalidArgument);
     }
     assert!(
@@ -612,7 +613,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
         coordinator.process.err()
     );
 
-    // The worker leaves for good, so its tiles are free at once, and an honest worker finishes the job.
+    // The worker does not return, so its tiles are free immediately, and an honest worker finishes the job.
     assert_eq!(coordinator.count(job, "tiles_running"), leases);
     send(Said::Draining(v1::Draining {})).await;
     drop(say);
@@ -627,7 +628,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
 }
 
-/// Three workers get the same tile one after the other and fail; returns its number.
+/// Makes the same tile fail on three workers, one after the other. Returns the number of the tile.
 async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
     use v1::coordinator_message::Message as Heard;
     use v1::worker_message::Message as Said;
@@ -683,14 +684,14 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
+async fn tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let channel = connect(&coordinator).await;
-    // A real worker does the first dozen tiles: the faces, the uppermost separators and more.
+    // A real worker computes the first dozen tiles: the faces, the uppermost separators and more.
     let worker = coordinator.worker();
     coordinator.until(job, "a dozen tiles", |j| {
         j["tiles_done"].as_u64() >= Some(12)
@@ -707,7 +708,7 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     let lacking = coordinator.finish(job);
     sandbox.write("lacking.pvs", &lacking);
     let info = sandbox.json("info lacking.pvs");
-    // A result counts tiles with cells only; the job also counts tiles with samples.
+    // A result counts only tiles with cells; the job also counts tiles with samples.
     assert!(
         (1..=aside).contains(&info["info"]["tiles_set_aside"].as_u64().unwrap()),
         "{info}"
@@ -736,7 +737,7 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_of_which_nothing_is_left_fails_and_can_be_retried() {
+async fn job_without_tiles_fails_and_can_be_retried() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));

@@ -1,25 +1,27 @@
 //! The ids of traces and spans.
 //!
-//! A trace's id is derived from what the coordinator has on record of a job, and the ids of spans below which
-//! other processes put theirs (the job, a lease) from the trace's. The time of the submission is part of it:
-//! job 1 of two farms, or of a data directory that was deleted in between, are different traces.
+//! The id of a trace is derived from the coordinator's record of a job. The ids of the job's span and of the
+//! spans of leases, which are parents of other processes' spans, are derived from the id of the trace. The
+//! submission time is part of the derivation, so job 1 of another farm, or of a recreated data directory, has
+//! another trace.
 
 use std::fmt;
 
-/// What ids are derived for. Never changes, or processes of two versions would not find each other's spans.
+/// The contexts of the derivations. They must never change: otherwise processes of two versions could not
+/// find each other's spans.
 const TRACE: &str = "sightline 2026-11 trace of a job";
 const SPAN: &str = "sightline 2026-11 span of a trace";
 
-/// The id of a trace; never zero.
+/// The id of a trace, which is never zero.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TraceId([u8; 16]);
 
-/// The id of a span within a trace; never zero.
+/// The id of a span within a trace, which is never zero.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SpanId([u8; 8]);
 
 impl TraceId {
-    /// The trace of a job with this key, number and time of submission in milliseconds since 1970.
+    /// Returns the trace of a job with this key, number and submission time in milliseconds since 1970.
     pub fn of_job(key: &[u8; 32], job: u64, submitted_at_ms: u64) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key(TRACE);
         hasher
@@ -27,29 +29,29 @@ impl TraceId {
             .update(&job.to_le_bytes())
             .update(&submitted_at_ms.to_le_bytes());
         let [mut id] = first(&hasher);
-        // Zero means that there is no trace.
+        // An id of zero means that there is no trace.
         if id == [0; 16] {
             id[15] = 1;
         }
         Self(id)
     }
 
-    /// The trace of these bytes; `None` when they are not 16, or zero: there is none.
+    /// Returns the trace with these bytes, or `None` if they are not 16 bytes or all zero.
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
         bytes.try_into().ok().filter(|id| *id != [0; 16]).map(Self)
     }
 
-    /// Its bytes.
+    /// Returns the bytes of the id.
     pub fn bytes(self) -> [u8; 16] {
         self.0
     }
 
-    /// The span of the whole job, below which all others are.
+    /// Returns the span of the whole job, the ancestor of all other spans.
     pub fn job(self) -> SpanId {
         self.derived("job", &[])
     }
 
-    /// The span of a lease of a tile, below which its worker's are.
+    /// Returns the span of a lease of a tile, the parent of its worker's spans.
     pub fn lease(self, tile: u32, epoch: u64, number: u64) -> SpanId {
         self.derived("lease", &[u64::from(tile), epoch, number])
     }
@@ -65,7 +67,7 @@ impl TraceId {
     }
 }
 
-/// The first bytes of a hash.
+/// Returns the first bytes of a hash.
 fn first<const N: usize>(hasher: &blake3::Hasher) -> [[u8; N]; 1] {
     let mut bytes = [[0; N]];
     hasher.finalize_xof().fill(bytes.as_flattened_mut());
@@ -73,19 +75,20 @@ fn first<const N: usize>(hasher: &blake3::Hasher) -> [[u8; N]; 1] {
 }
 
 impl SpanId {
-    /// The id of a number, of which zero is taken as one.
+    /// Returns the id with a number. Zero is replaced by one.
     pub(crate) fn of_number(number: u64) -> Self {
         Self(number.max(1).to_be_bytes())
     }
 
-    /// Its bytes.
+    /// Returns the bytes of the id.
     pub fn bytes(self) -> [u8; 8] {
         self.0
     }
 }
 
-/// A span of somebody else, from the header `traceparent` of W3C's Trace Context, version 00 or a later one
-/// that begins like it; `None` when the text is none.
+/// Parses the W3C Trace Context header `traceparent`, and returns the trace and the parent span.
+///
+/// Returns `None` if the text is invalid. Accepts version 00, and later versions that begin like version 00.
 pub fn parent_of(header: &str) -> Option<(TraceId, SpanId)> {
     let mut parts = header.trim().split('-');
     let [version, trace, span, flags] =
@@ -103,7 +106,7 @@ pub fn parent_of(header: &str) -> Option<(TraceId, SpanId)> {
     ))
 }
 
-/// Bytes as lower-case hexadecimal digits.
+/// Parses lower-case hexadecimal digits into bytes.
 fn digits<const N: usize>(text: &str) -> Option<[u8; N]> {
     let is_digit = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
     if text.len() != 2 * N || !text.bytes().all(is_digit) {
@@ -149,8 +152,8 @@ mod tests {
     const AT: u64 = 1_772_323_200_000;
 
     #[test]
-    fn processes_of_all_versions_derive_the_same_ids() {
-        // Computed with the package blake3 of Python.
+    fn all_versions_derive_same_ids() {
+        // The values were computed with the Python package blake3.
         let trace = TraceId::of_job(&[7; 32], 3, AT);
         assert_eq!(trace.to_string(), "40106705e0e84d101c4c4248afb877bb");
         assert_eq!(trace.job().to_string(), "0dd902fd6cce7328");
@@ -179,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn no_id_is_zero() {
+    fn ids_are_never_zero() {
         assert_eq!(SpanId::of_number(0).bytes(), [0, 0, 0, 0, 0, 0, 0, 1]);
         assert_eq!(TraceId::of_bytes(&[0; 16]), None);
         assert_eq!(TraceId::of_bytes(&[]), None);
@@ -191,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_traceparent_is_read_as_w3c_writes_it() {
+    fn traceparent_is_parsed_as_w3c_defines_it() {
         // The example of the recommendation.
         let header = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
         let (trace, span) = parent_of(header).unwrap();

@@ -1,4 +1,4 @@
-//! Spans as the messages of OTLP.
+//! Conversion of spans into OTLP messages.
 
 use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
 use opentelemetry_proto::tonic::common::v1::any_value::Value as Any;
@@ -11,10 +11,10 @@ use opentelemetry_proto::tonic::trace::v1::{self, ResourceSpans, ScopeSpans, Sta
 use crate::ids::SpanId;
 use crate::span::{Span, Value};
 
-/// The flag of W3C's Trace Context for a trace that is kept. All are.
+/// The W3C Trace Context flag of a sampled trace. All traces are sampled.
 const SAMPLED: u32 = 1;
 
-/// The process that sends.
+/// Returns the OTLP resource that describes the sending process.
 pub(crate) fn resource(service: &str, instance: &str) -> Resource {
     let version = env!("CARGO_PKG_VERSION");
     let pairs = [
@@ -31,7 +31,7 @@ pub(crate) fn resource(service: &str, instance: &str) -> Resource {
     }
 }
 
-/// A batch. `fresh` gives ids to spans that have none.
+/// Returns the message for a batch of spans. `fresh` generates ids for spans without one.
 pub(crate) fn request(
     resource: &Resource,
     spans: Vec<Span>,

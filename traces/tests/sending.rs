@@ -1,11 +1,11 @@
-//! What becomes of spans while their collector is away.
+//! Tests of sending spans while the collector does not answer.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
 use std::time::{Duration, Instant};
 
 use sightline_tests::{Collector, wait_for};
-use sightline_traces::{Begun, Settings, Span, TraceId, Traces};
+use sightline_traces::{Settings, Span, SpanTime, TraceId, Traces};
 
 fn traces(url: &str) -> Traces {
     let settings = Settings {
@@ -19,17 +19,17 @@ fn traces(url: &str) -> Traces {
 
 fn span(number: u64) -> Span {
     let trace = TraceId::of_job(&[7; 32], 1, 2);
-    let span = Span::of(trace, "wait", Begun::now()).below(trace.job());
+    let span = Span::new(trace, "wait", SpanTime::now()).below(trace.job());
     span.number("sightline.tile", number)
         .name("sightline.worker", "ada")
         .end()
 }
 
 #[test]
-fn spans_wait_for_a_collector_that_comes_late() {
+fn spans_wait_for_late_collector() {
     let address = Collector::new().address().to_owned();
     let traces = traces(&format!("http://{address}"));
-    let closing = traces.closing();
+    let guard = traces.flush_guard();
     (0..1000).for_each(|number| traces.send(span(number)));
     std::thread::sleep(Duration::from_millis(300));
     let collector = Collector::at(&address);
@@ -37,7 +37,7 @@ fn spans_wait_for_a_collector_that_comes_late() {
         (collector.taken().len() == 1000).then_some(())
     });
     traces.send(span(1000));
-    drop(closing);
+    drop(guard);
     let mut tiles: Vec<u64> = collector
         .taken()
         .iter()
@@ -49,10 +49,10 @@ fn spans_wait_for_a_collector_that_comes_late() {
 }
 
 #[test]
-fn what_does_not_fit_is_counted_and_nobody_waits() {
+fn full_queue_counts_lost_spans_without_waiting() {
     let silent = Collector::silent();
     let traces = traces(silent.url());
-    let closing = traces.closing();
+    let guard = traces.flush_guard();
     let began = Instant::now();
     (0..100_000).for_each(|number| traces.send(span(number)));
     assert!(
@@ -62,7 +62,7 @@ fn what_does_not_fit_is_counted_and_nobody_waits() {
     );
     assert!(traces.lost() >= 100_000 - 20_000, "{}", traces.lost());
     let began = Instant::now();
-    drop(closing);
+    drop(guard);
     assert!(
         began.elapsed() < Duration::from_secs(4),
         "{:?}",
@@ -72,12 +72,12 @@ fn what_does_not_fit_is_counted_and_nobody_waits() {
 }
 
 #[test]
-fn the_end_does_not_wait_for_a_collector_that_is_away() {
+fn end_does_not_wait_for_missing_collector() {
     let traces = traces(Collector::new().url());
-    let closing = traces.closing();
+    let guard = traces.flush_guard();
     (0..10).for_each(|number| traces.send(span(number)));
     let began = Instant::now();
-    drop(closing);
+    drop(guard);
     assert!(
         began.elapsed() < Duration::from_millis(1500),
         "{:?}",

@@ -3,123 +3,152 @@
 use std::sync::Arc;
 
 use sightline_scene::Scene;
-use sightline_trace::embree::CpuBackend;
+use sightline_trace::cpu::{self, CpuBackend};
+use sightline_trace::embree::EmbreeBackend;
 use sightline_trace::gpu::{self, AdapterChoice, GpuBackend};
-use sightline_trace::{Backend, BackendError, CubeSpec};
+use sightline_trace::{CubeSpec, Tracer, TracerError};
 
-/// Which backends a worker may use.
+/// The backends that a worker may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TracerSelection {
-    /// All backends of this machine.
+    /// The cpu backend, and wgpu if it works.
     Auto,
-    /// As `Auto`, but where Embree works and no GPU is present, software rasterisers are not started: a
-    /// coordinator does not bind a job to one if a worker has Embree.
+    /// The cpu backend, and wgpu if it works on a GPU.
+    ///
+    /// The coordinator does not bind a job to a software rasteriser if a worker has the cpu backend.
     Fast,
-    /// wgpu only.
+    /// Only wgpu.
     Gpu,
-    /// Embree only.
+    /// Only the cpu backend.
     Cpu,
+    /// Only Embree.
+    Embree,
 }
 
-/// The profiles of the backends that work on this machine, and the reasons why the others do not.
+/// The profiles of the working backends of this machine, and the reasons why other backends do not work.
 pub struct Backends {
-    cpu: Result<String, String>,
-    gpu: Result<String, String>,
+    /// True if the cpu backend is requested. It works on every machine.
+    cpu: bool,
+    embree: Probed,
+    gpu: Probed,
     adapter: AdapterChoice,
-    /// Whether the gpu backend is a software rasteriser.
+    /// True if the gpu backend is a software rasteriser.
     software: bool,
-    /// Whether no software rasteriser was looked for.
+    /// True if software rasterisers were not probed.
     skipped_software: bool,
+}
+
+/// A backend that can be missing.
+enum Probed {
+    /// The backend is not requested.
+    Unused,
+    /// The backend works and has this numerics profile.
+    Works(String),
+    /// The backend does not work, for this reason.
+    Missing(String),
+}
+
+impl Probed {
+    fn new(profile: Result<String, TracerError>) -> Self {
+        match profile {
+            Ok(profile) => Self::Works(profile),
+            Err(e) => Self::Missing(e.to_string()),
+        }
+    }
+
+    fn profile(&self) -> Option<&str> {
+        match self {
+            Self::Works(profile) => Some(profile),
+            Self::Unused | Self::Missing(_) => None,
+        }
+    }
 }
 
 impl Backends {
     /// Tries the backends of `choice` on this machine.
     pub fn probe(choice: TracerSelection, adapter: AdapterChoice) -> Self {
-        let not_asked = || Err("not asked for".to_owned());
-        let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
-        let cpu = if choice == TracerSelection::Gpu {
-            not_asked()
-        } else {
-            say(CpuBackend::probe())
-        };
+        use TracerSelection::{Auto, Cpu, Embree, Fast, Gpu};
         // Starting a software driver takes longer than a small bake.
-        let skipped_software =
-            choice == TracerSelection::Fast && cpu.is_ok() && !gpu::device_present();
-        let gpu = if choice == TracerSelection::Cpu || skipped_software {
-            not_asked()
-        } else {
-            say(gpu::probe(&adapter))
+        let skipped_software = choice == Fast && !gpu::device_present();
+        let gpu = match choice {
+            Auto | Fast | Gpu if !skipped_software => Probed::new(gpu::probe(&adapter)),
+            _ => Probed::Unused,
         };
-        let software = gpu.is_ok()
-            && gpu::adapters()
+        let embree = match choice {
+            Embree => Probed::new(EmbreeBackend::probe()),
+            _ => Probed::Unused,
+        };
+        let software = gpu.profile().is_some_and(|profile| {
+            gpu::adapters()
                 .iter()
-                .any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
+                .any(|a| a.software && a.profile == profile)
+        });
         Self {
+            cpu: matches!(choice, Auto | Fast | Cpu),
+            embree,
+            gpu,
+            adapter,
             software,
             skipped_software,
-            gpu,
-            cpu,
-            adapter,
         }
     }
 
-    /// Profiles of the backends that work, cpu first.
+    /// Returns the profiles of the working backends, cpu first.
     pub fn profiles(&self) -> Vec<String> {
-        [&self.cpu, &self.gpu]
-            .into_iter()
-            .filter_map(|r| r.as_ref().ok().cloned())
-            .collect()
+        let cpu = self.cpu.then_some(cpu::PROFILE);
+        let others = [self.embree.profile(), self.gpu.profile()];
+        let all = std::iter::once(cpu).chain(others);
+        all.flatten().map(str::to_owned).collect()
     }
 
-    /// Whether no software rasteriser was looked for, because no job would be bound to one.
+    /// Returns true if software rasterisers were not probed, because no job would be bound to one.
     pub fn skipped_software(&self) -> bool {
         self.skipped_software
     }
 
-    /// Whether `profile` belongs to a software rasteriser.
+    /// Returns true if `profile` belongs to a software rasteriser.
     pub fn is_software(&self, profile: &str) -> bool {
-        self.software && self.gpu.as_deref() == Ok(profile)
+        self.software && self.gpu.profile() == Some(profile)
     }
 
-    /// One line for users for each requested backend that does not work.
+    /// Returns one line for users for each requested backend that does not work.
     pub fn missing(&self) -> Vec<String> {
-        let line = |name: &str, r: &Result<String, String>| {
-            r.as_ref()
-                .err()
-                .filter(|e| *e != "not asked for")
-                .map(|e| format!("{name} backend: {e}"))
-        };
-        [line("cpu", &self.cpu), line("gpu", &self.gpu)]
+        [("embree", &self.embree), ("gpu", &self.gpu)]
             .into_iter()
-            .flatten()
+            .filter_map(|(name, probed)| match probed {
+                Probed::Missing(reason) => Some(format!("{name} backend: {reason}")),
+                Probed::Unused | Probed::Works(_) => None,
+            })
             .collect()
     }
 
     /// Opens the backend with the numerics profile `profile` for a scene.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when this machine does not have the profile; otherwise the error of the
+    /// [`TracerError::Unavailable`] if this machine does not have the profile; otherwise the error of the
     /// backend.
     pub fn open(
         &self,
         profile: &str,
         scene: Arc<Scene>,
         spec: CubeSpec,
-    ) -> Result<Arc<dyn Backend>, BackendError> {
-        if self.cpu.as_deref() == Ok(profile) {
+    ) -> Result<Arc<dyn Tracer>, TracerError> {
+        if self.cpu && profile == cpu::PROFILE {
             Ok(Arc::new(CpuBackend::new(scene, spec)?))
-        } else if self.gpu.as_deref() == Ok(profile) {
+        } else if self.embree.profile() == Some(profile) {
+            Ok(Arc::new(EmbreeBackend::new(scene, spec)?))
+        } else if self.gpu.profile() == Some(profile) {
             let backend = GpuBackend::new(scene, spec, self.adapter.clone())?;
-            // Another adapter may have been opened in the place of one that has failed since.
+            // If the adapter has failed since the probe, another adapter may have been opened instead.
             if backend.profile() != profile {
-                return Err(BackendError::Unavailable(format!(
+                return Err(TracerError::Unavailable(format!(
                     "the adapter with the numerics profile {profile} can no longer be opened; restart the \
                      worker"
                 )));
             }
             Ok(Arc::new(backend))
         } else {
-            Err(BackendError::Unavailable(format!(
+            Err(TracerError::Unavailable(format!(
                 "this worker has no backend with the numerics profile {profile}; it has: {}",
                 self.profiles().join(", ")
             )))

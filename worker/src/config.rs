@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_model::receivers::Receivers;
-use sightline_proto::connecting::Credentials;
+use sightline_proto::connection::Credentials;
 use sightline_traces::Traces;
 
 use crate::backends::Backends;
@@ -17,45 +17,45 @@ use crate::traced_scenes::SceneCache;
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7600`.
     pub coordinator: String,
-    /// Whom it trusts and who it says it is.
+    /// The trusted authorities and the worker's own certificate or token.
     pub credentials: Credentials,
-    /// Shown to users; unique among the workers of the coordinator.
+    /// The display name of the worker, unique among the workers of the coordinator.
     pub name: String,
     /// The backends that the worker may use.
     pub backends: Arc<Backends>,
-    /// Cache of scenes and their hierarchies, shared by the workers of one process.
+    /// The cache of scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
-    /// Cache of the receivers of ambient occlusion, by their digest and the number of their scene's
-    /// triangles, shared like the scenes.
+    /// The cache of the receivers of ambient occlusion, shared like the scenes. The key is the digest of the
+    /// receivers and the number of triangles of their scene.
     pub receivers: Arc<SharedCache<([u8; 32], u32), Receivers>>,
-    /// Whether it helps other workers' tiles while it has none of its own: not where those workers share its
-    /// threads.
+    /// True if the worker helps with tiles of other workers while it has no tile. Use false if the other
+    /// workers share the threads of this worker.
     pub helps: bool,
-    /// Whether it reads and writes the store of the blobs by itself where the coordinator offers that.
+    /// True if the worker accesses the blob store directly, if the coordinator offers that.
     pub direct: bool,
-    /// How long to retry when the coordinator cannot be reached; `None` for no limit.
+    /// The time for which the worker retries to reach the coordinator; `None` for no limit.
     pub give_up_after: Option<Duration>,
-    /// What it tells of itself.
+    /// The metrics of the worker.
     pub counters: Arc<WorkerCounters>,
-    /// Where spans of its tiles go, if their coordinator sends traces, too.
+    /// The sender of the worker's spans. Spans are sent only if the coordinator sends traces, too.
     pub traces: Traces,
 }
 
-/// Tells a worker whether and how to stop.
+/// A command to a worker to continue or to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stop {
     /// Continue.
     No,
-    /// Finish the running tile, give back tiles that have not begun, and take no more (SIGTERM).
+    /// Finish the running tile, return tiles that have not begun, and accept no further tiles (SIGTERM).
     Drain,
     /// Stop at once; the held tiles are lost.
     Now,
 }
 
-/// Why a worker ended before it was told to.
+/// An error that ended a worker before a command to stop.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
-    /// The given address is not valid.
+    /// The address of the coordinator is invalid.
     #[error("{0} is not a coordinator's address: {1}; give one such as http://127.0.0.1:7600")]
     Address(String, String),
     /// The coordinator could not be reached for longer than `give_up_after`.
@@ -64,15 +64,15 @@ pub enum WorkerError {
             there and that the port is open"
     )]
     Unreachable {
-        /// Its address.
+        /// The address of the coordinator.
         address: String,
         /// The last error.
         reason: String,
     },
-    /// The system has no random numbers.
-    #[error("the system gave no random number ({0}); check that /dev/urandom is there")]
+    /// The system returns no random numbers.
+    #[error("the system returned no random number ({0}); check that /dev/urandom exists")]
     Random(String),
-    /// The coordinator refused this worker.
-    #[error("the coordinator refused this worker: {0}")]
+    /// The coordinator rejected the worker.
+    #[error("the coordinator rejected this worker: {0}")]
     Refused(String),
 }

@@ -1,22 +1,22 @@
-//! Connections to the coordinator, with a limit on the time that one takes, the look-up of its name included.
+//! Connections to the coordinator, with a time limit that includes the look-up of the coordinator's name.
 //!
-//! The usual connector of gRPC limits the connection of the socket alone. Where a name server does not answer
-//! while the coordinator restarts (in a network of containers, for one), a look-up takes ten seconds, and the
-//! worker would come back too late for its tile.
+//! The default connector of gRPC limits only the connection of the socket. If a name server does not answer
+//! while the coordinator restarts, as in some container networks, a look-up takes ten seconds. The worker
+//! would then reconnect too late for its tile.
 
 use std::io;
 use std::time::Duration;
 
 use hyper_util::rt::TokioIo;
-use sightline_proto::connecting::{Connection, Credentials};
+use sightline_proto::connection::{Connection, Credentials};
 use tokio::net::TcpStream;
 use tonic::transport::{Endpoint, Uri};
 
-/// How long an attempt to connect takes at most: after a restart the coordinator keeps tiles for its workers
-/// for two and a half seconds.
+/// Timeout for an attempt to connect. After a restart the coordinator reserves tiles for their workers for
+/// 2.5 s.
 const CONNECT: Duration = Duration::from_secs(1);
 
-/// A channel that connects when it is used, and again when its connection has broken.
+/// Creates a channel that connects at its first use, and again after its connection broke.
 pub fn channel(endpoint: &Endpoint, credentials: &Credentials) -> Connection {
     credentials.over(endpoint.connect_with_connector_lazy(tower::service_fn(
         |address: Uri| async move {
@@ -24,7 +24,7 @@ pub fn channel(endpoint: &Endpoint, credentials: &Credentials) -> Connection {
             connected.unwrap_or_else(|_| {
                 Err(io::Error::new(
                     io::ErrorKind::TimedOut,
-                    format!("no connection within {CONNECT:?}"),
+                    format!("the coordinator accepted no connection within {CONNECT:?}"),
                 ))
             })
         },
@@ -32,7 +32,7 @@ pub fn channel(endpoint: &Endpoint, credentials: &Credentials) -> Connection {
 }
 
 async fn connect(address: &Uri) -> io::Result<TokioIo<TcpStream>> {
-    // Checked by [`Credentials::endpoint`]: there is a host, and the scheme is http or https.
+    // [`Credentials::endpoint`] has checked that the host exists and that the scheme is http or https.
     let host = address
         .host()
         .unwrap_or_default()

@@ -1,64 +1,65 @@
-//! What a worker tells of itself to who watches machines: whether it is connected, and what it has done.
+//! Worker metrics: the connection state and the finished work.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Changed by the worker, read by anybody.
+/// The counters of a worker. The worker updates them; other threads may read them.
 #[derive(Debug, Default)]
 pub struct WorkerCounters {
     connected: AtomicBool,
     done: AtomicU64,
     cancelled: AtomicU64,
     failed: AtomicU64,
-    /// Blobs and their bytes, by direction and way.
-    moved: [[[AtomicU64; 2]; 3]; 2],
+    /// The numbers of blobs and of their bytes, by direction and route.
+    transferred: [[[AtomicU64; 2]; 3]; 2],
 }
 
-/// Whether a blob came here or left.
+/// The direction of a blob's transfer, seen from the worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Direction {
     In,
     Out,
 }
 
-/// How a blob went.
+/// The route of a blob's transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Way {
-    /// Between this worker and the store.
+pub(crate) enum BlobRoute {
+    /// Between the worker and the blob store.
     Direct,
     Coordinator,
-    /// Through the coordinator, after the store did not do.
+    /// Through the coordinator, after the blob store failed.
     Fallback,
 }
 
-/// Blobs that went one way.
+/// The number and size of the blobs transferred in one direction on one route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Moved {
-    /// `in` or `out`.
+pub struct TransferTotals {
+    /// The direction: `in` or `out`.
     pub direction: &'static str,
-    /// `direct`, `coordinator`, or `fallback`: through the coordinator, after the store did not do.
-    pub way: &'static str,
-    /// How many.
+    /// The route: `direct`, `coordinator`, or `fallback` (through the coordinator after the blob store
+    /// failed).
+    pub route: &'static str,
+    /// The number of blobs.
     pub blobs: u64,
-    /// Their bytes.
+    /// The total size of the blobs, in bytes.
     pub bytes: u64,
 }
 
-/// How a tile ended.
+/// The way in which a tile ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ended {
     Done,
-    /// The coordinator has taken it back, or the worker was told to stop.
+    /// The coordinator revoked the lease, or the worker received a command to stop.
     Cancelled,
     Failed,
 }
 
 impl WorkerCounters {
-    /// Whether the coordinator has welcomed the worker and the stream goes on.
+    /// Returns true if the coordinator has welcomed the worker and the stream is open.
     pub fn is_connected(&self) -> bool {
         self.connected.load(Ordering::Relaxed)
     }
 
-    /// Tiles by how they ended.
+    /// Returns the number of tiles by the way in which they ended.
     pub fn tiles(&self) -> [(&'static str, u64); 3] {
         [
             ("done", &self.done),
@@ -68,15 +69,18 @@ impl WorkerCounters {
         .map(|(name, count)| (name, count.load(Ordering::Relaxed)))
     }
 
-    /// Scenes, packs and outputs by how they went.
-    pub fn transfers(&self) -> Vec<Moved> {
+    /// Returns the transfers of scenes, packs and outputs by direction and route.
+    pub fn transfers(&self) -> Vec<TransferTotals> {
         let mut all = Vec::new();
-        for (direction, of) in ["in", "out"].into_iter().zip(&self.moved) {
-            for (way, counts) in ["direct", "coordinator", "fallback"].into_iter().zip(of) {
+        for (direction, counter) in ["in", "out"].into_iter().zip(&self.transferred) {
+            for (route, counts) in ["direct", "coordinator", "fallback"]
+                .into_iter()
+                .zip(counter)
+            {
                 let [blobs, bytes] = [0, 1].map(|i| counts[i].load(Ordering::Relaxed));
-                all.push(Moved {
+                all.push(TransferTotals {
                     direction,
-                    way,
+                    route,
                     blobs,
                     bytes,
                 });
@@ -85,8 +89,8 @@ impl WorkerCounters {
         all
     }
 
-    pub(crate) fn moved(&self, direction: Direction, way: Way, bytes: usize) {
-        let [blobs, sum] = &self.moved[direction as usize][way as usize];
+    pub(crate) fn transferred(&self, direction: Direction, route: BlobRoute, bytes: usize) {
+        let [blobs, sum] = &self.transferred[direction as usize][route as usize];
         blobs.fetch_add(1, Ordering::Relaxed);
         sum.fetch_add(bytes as u64, Ordering::Relaxed);
     }

@@ -1,7 +1,8 @@
-//! The streams of a crew on the worker's side: of a leader, which holds the tile's lease, and of a helper.
+//! The worker's side of a crew's streams. The worker is the leader, which holds the tile's lease, or a
+//! helper.
 //!
-//! A leader whose stream cannot be opened, or breaks, goes on alone, because its tile needs nobody, and tries
-//! to open another one.
+//! If the stream of a leader cannot be opened or breaks, the leader continues without helpers, and tries to
+//! open another stream.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -9,36 +10,37 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{self, Blobs};
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sample::Watcher as _;
 use sightline_sample::crew::{FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader};
+use sightline_sample::{PhaseIndex, Watcher as _};
 use tokio::sync::mpsc;
 use tonic::Streaming;
 
 use crate::leased_tile::LeasedTile;
 use crate::status::describe;
 
-/// Messages that wait for the network.
+/// Maximum number of messages that wait for the network.
 const WAITING: usize = 16;
-/// A stream of a leader that lasted this long was of use, and the first wait after it is short again.
+/// The duration after which a leader's stream counts as stable, so that the next wait is short again.
 const STEADY: Duration = Duration::from_secs(5);
-/// How long a leader waits for the outcomes of an earlier one to begin to come, and then for each next one.
+/// Timeout for a leader's wait for the first outcome of an earlier leader, and for each further one.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// The waits after a leader's stream has broken: the first, and late ones; they double in between.
+/// The minimum and the maximum wait after a leader's stream has broken. The wait doubles each time.
 const AGAIN: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)];
-/// Most bytes of an outcome or of finds.
+/// Maximum length of an outcome, or of the results that a helper sends, in bytes.
 const MAX_BYTES: u64 = 1 << 30;
 
 type Client = WorkersClient<Connection>;
 
-/// Opens a stream to the other members.
+/// Opens a stream to the other members of a crew.
 async fn enter(
     mut client: Client,
     lease: v1::Lease,
-    (leads, phases): (bool, u32),
+    leads: bool,
+    phases: u32,
 ) -> Result<(mpsc::Sender<v1::CrewMessage>, Streaming<v1::CrewMessage>), String> {
     let (out, receiver) = mpsc::channel(WAITING);
     let enter = Message::Enter(v1::CrewEnter {
@@ -46,7 +48,7 @@ async fn enter(
         leads,
         phases,
     });
-    // There is room: nothing else was sent.
+    // The channel has room, because this is the first message.
     let _ = out.try_send(v1::CrewMessage {
         message: Some(enter),
     });
@@ -59,48 +61,48 @@ async fn enter(
     Ok((out, inbound))
 }
 
-/// Where the leader's messages go: to its present stream, if it has one.
+/// The path of the leader's messages: the current stream, or none.
 #[derive(Clone, Default)]
 struct LeaderLink(Arc<Mutex<Option<mpsc::UnboundedSender<FromLeader>>>>);
 
 impl LeaderLink {
-    /// From now on messages go to another stream, or nowhere.
-    fn turn(&self, to: Option<mpsc::UnboundedSender<FromLeader>>) {
+    /// Sets the stream for later messages, or `None` to drop them.
+    fn set_stream(&self, to: Option<mpsc::UnboundedSender<FromLeader>>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = to;
     }
 
     fn say(&self, message: FromLeader) {
-        let way = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // Fails when the stream has broken. The leader keeps its outcomes for the next stream.
-        let _ = way.iter().try_for_each(|way| way.send(message.clone()));
+        let link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // The send fails if the stream has broken. The leader keeps its outcomes for the next stream.
+        let _ = link.iter().try_for_each(|link| link.send(message.clone()));
     }
 }
 
-/// A leader with a stream to its helpers; without one, if there cannot be one, a leader without helpers.
-pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<LeasedTile>) -> Arc<Leader> {
-    let way = LeaderLink::default();
+/// Creates a leader with a stream to its helpers, or without helpers if the stream cannot be opened.
+pub async fn lead(client: Client, lease: v1::Lease, leased: &Arc<LeasedTile>) -> Arc<Leader> {
+    let link = LeaderLink::default();
     let (opened, outcomes) = match open(&client, lease, 0).await {
         Ok((out, inbound, outcomes, _)) => (Ok((out, inbound)), outcomes),
         Err(e) => (Err(e), Vec::new()),
     };
     if !outcomes.is_empty() {
         tracing::info!(
-            "tile {} of job {} goes on after {} phases of an earlier worker",
+            "tile {} of job {} continues after {} phases of an earlier worker",
             lease.tile,
             lease.job,
             outcomes.len()
         );
     }
-    tracing::info!("leads tile {} of job {}", lease.tile, lease.job);
-    let say = way.clone();
-    let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| {
+    tracing::info!("this worker leads tile {} of job {}", lease.tile, lease.job);
+    let say = link.clone();
+    let leader = Leader::new(outcomes, Arc::clone(leased) as _, move |message| {
         say.say(message)
     });
     let leader = Arc::new(leader);
     let inbound = match opened {
         Ok((out, inbound)) => {
             let (to, said) = mpsc::unbounded_channel();
-            way.turn(Some(to));
+            link.set_stream(Some(to));
             tokio::spawn(send(said, out, of_leader));
             Some(inbound)
         }
@@ -116,16 +118,16 @@ pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<LeasedTile>) -> A
     tokio::spawn(keep_leading(
         client,
         lease,
-        Arc::clone(held),
+        Arc::clone(leased),
         Arc::downgrade(&leader),
-        way,
+        link,
         inbound,
     ));
     leader
 }
 
-/// Opens a leader's stream: the way out, what comes in, the outcomes from phase `from` on that an earlier
-/// stream has left, and the number of phases whose outcomes are there.
+/// Opens a leader's stream. Returns the outgoing channel, the incoming messages, the outcomes of earlier
+/// leaders from phase `from` on, and the number of phases whose outcomes the coordinator has.
 async fn open(
     client: &Client,
     lease: v1::Lease,
@@ -139,7 +141,7 @@ async fn open(
     ),
     String,
 > {
-    let opened = tokio::time::timeout(PATIENCE, enter(client.clone(), lease, (true, from))).await;
+    let opened = tokio::time::timeout(PATIENCE, enter(client.clone(), lease, true, from)).await;
     let (out, mut inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (mut outcomes, mut blobs) = (Vec::new(), Blobs::new(MAX_BYTES));
     loop {
@@ -159,19 +161,23 @@ async fn open(
             Some(Message::Ready(v1::CrewReady { phases })) => {
                 return Ok((out, inbound, outcomes, phases));
             }
-            _ => return Err("the coordinator sent something else than outcomes".to_owned()),
+            _ => {
+                return Err(
+                    "the coordinator sent another message in place of an outcome".to_owned(),
+                );
+            }
         }
     }
 }
 
-/// Tells the leader what comes, and opens another stream when one breaks, until its tile is done or its lease
-/// has ended.
+/// Passes incoming messages to the leader, and opens another stream if the stream breaks. Ends when the tile
+/// is done or the lease has ended.
 async fn keep_leading(
     client: Client,
     lease: v1::Lease,
-    held: Arc<LeasedTile>,
+    leased: Arc<LeasedTile>,
     leader: Weak<Leader>,
-    way: LeaderLink,
+    link: LeaderLink,
     mut inbound: Option<Streaming<v1::CrewMessage>>,
 ) {
     // Without a stream so far, the outcomes of an earlier leader are not known either.
@@ -180,20 +186,20 @@ async fn keep_leading(
     loop {
         if let Some(inbound) = inbound.take() {
             let since = Instant::now();
-            hear_leader(leader.clone(), &way, inbound).await;
+            pass_to_leader(leader.clone(), &link, inbound).await;
             if since.elapsed() >= STEADY {
                 wait = AGAIN[0];
             }
         }
-        way.turn(None);
+        link.set_stream(None);
         inbound = Some(loop {
             tokio::time::sleep(wait).await;
             wait = (wait * 2).min(AGAIN[1]);
             let use_for_helpers = leader.upgrade().filter(|leader| !leader.has_ended());
-            let Some(from) = use_for_helpers.map(|leader| leader.phase()) else {
+            let Some(from) = use_for_helpers.map(|leader| leader.phase().0) else {
                 return;
             };
-            if held.cancelled() {
+            if leased.cancelled() {
                 return;
             }
             let from = if knows_earlier { u32::MAX } else { from };
@@ -204,16 +210,17 @@ async fn keep_leading(
                 return;
             };
             if !std::mem::replace(&mut knows_earlier, true) {
-                leader.learn(from, outcomes);
+                leader.learn(PhaseIndex(from), outcomes);
             }
             let (to, said) = mpsc::unbounded_channel();
-            if leader.reopened(there, || way.turn(Some(to))) {
+            if leader.reopened(there, || link.set_stream(Some(to))) {
                 tracing::info!("tile {} of job {} has a crew again", lease.tile, lease.job);
                 tokio::spawn(send(said, out, of_leader));
                 break inbound;
             }
             tracing::warn!(
-                "tile {} of job {} goes on without helpers: the coordinator has lost its earlier phases",
+                "tile {} of job {} continues without helpers: the coordinator has lost its earlier \
+                 phases",
                 lease.tile,
                 lease.job
             );
@@ -222,7 +229,8 @@ async fn keep_leading(
     }
 }
 
-/// Sends what a member says, as one or several messages each, until it has ended or the stream has broken.
+/// Sends the messages of a member until the member has ended or the stream has broken. `messages` converts a
+/// message to one or more messages of the stream.
 async fn send<T>(
     mut said: mpsc::UnboundedReceiver<T>,
     out: mpsc::Sender<v1::CrewMessage>,
@@ -252,17 +260,17 @@ fn of_leader(said: FromLeader) -> Vec<Message> {
         } => {
             vec![Message::Take(v1::CrewTake {
                 member,
-                phase,
+                phase: phase.0,
                 items,
             })]
         }
         FromLeader::Outcome { phase, bytes, time } => {
-            // Nobody's phases last for 584 000 years.
+            // No phase lasts for 584,000 years.
             let micros = time.as_micros().max(1) as u64;
             chunks::cut(&bytes)
                 .map(|chunk| {
                     Message::Outcome(v1::CrewOutcome {
-                        phase,
+                        phase: phase.0,
                         chunk: Some(chunk),
                         micros,
                     })
@@ -275,10 +283,13 @@ fn of_leader(said: FromLeader) -> Vec<Message> {
 }
 
 fn of_helper(said: FromHelper) -> Vec<Message> {
-    // The coordinator numbers helpers.
+    // The coordinator assigns the numbers of helpers.
     let member = 0;
     match said {
-        FromHelper::Ask { phase } => vec![Message::Ask(v1::CrewAsk { member, phase })],
+        FromHelper::Ask { phase } => vec![Message::Ask(v1::CrewAsk {
+            member,
+            phase: phase.0,
+        })],
         FromHelper::Found {
             phase,
             mut items,
@@ -288,7 +299,7 @@ fn of_helper(said: FromHelper) -> Vec<Message> {
                 let items = std::mem::take(&mut items);
                 Message::Found(v1::CrewFound {
                     member,
-                    phase,
+                    phase: phase.0,
                     items,
                     chunk: Some(chunk),
                 })
@@ -297,13 +308,13 @@ fn of_helper(said: FromHelper) -> Vec<Message> {
     }
 }
 
-/// Tells the leader what comes, until its tile is done or the stream breaks.
-async fn hear_leader(
+/// Passes incoming messages to the leader until its tile is done or the stream breaks.
+async fn pass_to_leader(
     leader: Weak<Leader>,
-    way: &LeaderLink,
+    link: &LeaderLink,
     mut inbound: Streaming<v1::CrewMessage>,
 ) {
-    // The helpers, with the items of the finds that arrive.
+    // The helpers, with the items whose results are being received.
     let mut members: BTreeMap<Member, (Vec<u32>, Blobs)> = BTreeMap::new();
     while let Some(Ok(message)) = inbound.next().await {
         let Some(leader) = leader.upgrade() else {
@@ -320,6 +331,7 @@ async fn hear_leader(
                 leader.hear(ToLeader::Left(member));
             }
             Some(Message::Ask(v1::CrewAsk { member, phase })) => {
+                let phase = PhaseIndex(phase);
                 leader.hear(ToLeader::Ask { member, phase });
             }
             Some(Message::Found(found)) => {
@@ -341,16 +353,16 @@ async fn hear_leader(
                         let items = std::mem::take(of);
                         leader.hear(ToLeader::Found {
                             member,
-                            phase,
+                            phase: PhaseIndex(phase),
                             items,
                             finds,
                         });
                     }
                     Err(e) => {
-                        tracing::warn!("helper {member} is dismissed: {e}");
+                        tracing::warn!("this worker dismisses helper {member} of its tile: {e}");
                         members.remove(&member);
                         leader.hear(ToLeader::Left(member));
-                        way.say(FromLeader::Dismiss(member));
+                        link.say(FromLeader::Dismiss(member));
                     }
                 }
             }
@@ -365,31 +377,31 @@ async fn hear_leader(
         .for_each(|member| leader.hear(ToLeader::Left(member)));
 }
 
-/// A helper of the leader that holds `lease`.
+/// Creates a helper of the leader that holds `lease`.
 ///
 /// # Errors
-/// The reason, when the crew has ended or cannot be reached.
+/// The reason, if the crew has ended or cannot be reached.
 pub async fn help(
     client: Client,
     lease: v1::Lease,
-    held: &Arc<LeasedTile>,
+    leased: &Arc<LeasedTile>,
 ) -> Result<Arc<Helper>, String> {
-    let opened = tokio::time::timeout(PATIENCE, enter(client, lease, (false, 0))).await;
+    let opened = tokio::time::timeout(PATIENCE, enter(client, lease, false, 0)).await;
     let (out, inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (say, said) = mpsc::unbounded_channel();
-    let helper = Helper::new(Arc::clone(held) as _, move |message| {
-        // Fails when the stream has broken; the helper is then told that the crew has ended.
+    let helper = Helper::new(Arc::clone(leased) as _, move |message| {
+        // The send fails if the stream has broken; the helper is then notified that the crew has ended.
         let _ = say.send(message);
     });
     let helper = Arc::new(helper);
     tokio::spawn(send(said, out, of_helper));
-    // When the helper has ended, nobody says anything more, and the stream ends.
-    tokio::spawn(hear_helper(Arc::downgrade(&helper), inbound));
+    // After the helper has ended, no task sends further messages, and the stream ends.
+    tokio::spawn(pass_to_helper(Arc::downgrade(&helper), inbound));
     Ok(helper)
 }
 
-/// Tells the helper what comes; the end of the stream is the end of the crew.
-async fn hear_helper(helper: Weak<Helper>, mut inbound: Streaming<v1::CrewMessage>) {
+/// Passes incoming messages to the helper. The end of the stream is the end of the crew.
+async fn pass_to_helper(helper: Weak<Helper>, mut inbound: Streaming<v1::CrewMessage>) {
     let mut outcomes = Blobs::new(MAX_BYTES);
     while let Some(Ok(message)) = inbound.next().await {
         let Some(helper) = helper.upgrade() else {
@@ -397,9 +409,11 @@ async fn hear_helper(helper: Weak<Helper>, mut inbound: Streaming<v1::CrewMessag
         };
         match message.message {
             Some(Message::Take(v1::CrewTake { phase, items, .. })) => {
+                let phase = PhaseIndex(phase);
                 helper.hear(ToHelper::Take { phase, items });
             }
             Some(Message::Outcome(v1::CrewOutcome { phase, chunk, .. })) => {
+                let phase = PhaseIndex(phase);
                 match outcomes.push(&chunk.unwrap_or_default()) {
                     Ok(None) => {}
                     Ok(Some(bytes)) => helper.hear(ToHelper::Outcome { phase, bytes }),

@@ -1,6 +1,6 @@
-//! Blobs between this worker and the store that they are in, at addresses that the coordinator signs.
+//! Direct transfers of blobs between this worker and the blob store, at addresses that the coordinator signs.
 //!
-//! An address is a secret while it is accepted: no message here has more of it than the host.
+//! An address is a secret while it is valid, so messages contain only its host.
 
 use std::convert::Infallible;
 use std::pin::Pin;
@@ -11,47 +11,47 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use http_body::{Body, Frame, SizeHint};
-use sightline_http::{Client, During, Fault, Request, StatusCode, Uri, header};
+use sightline_http::{Client, Request, RequestError, RequestStage, StatusCode, Uri, header};
 use sightline_proto::v1;
 
 use crate::leased_tile::LeasedTile;
 
-/// How long a connection may take: who cannot reach the store has another way.
+/// Timeout for making a connection. It is short, because the coordinator is an alternative route.
 const CONNECT: Duration = Duration::from_secs(3);
-/// How long an answer may take to begin.
+/// Timeout for the beginning of an answer.
 const ANSWER: Duration = Duration::from_secs(60);
-/// How long an upload may take, if it goes on all the time.
+/// Timeout for an upload that makes progress.
 const UPLOAD: Duration = Duration::from_secs(3600);
-/// How long an upload may make no progress.
+/// Timeout for an upload without progress.
 const STALL: Duration = Duration::from_secs(60);
-/// How often it is looked at.
+/// The interval between checks of an upload's progress.
 const LOOK: Duration = Duration::from_millis(250);
-/// How long a store that cannot be reached is left alone, unless another session begins.
+/// The time for which an unreachable store is not used, unless another session begins.
 pub const PAUSE: Duration = Duration::from_secs(600);
-/// Bytes of an upload that are handed over at a time.
+/// The number of bytes of an upload that are passed to the connection at a time.
 const PIECE: usize = 64 << 10;
 
-/// Why something is not between this worker and the store.
+/// The reason why a direct transfer failed.
 #[derive(Debug)]
-pub enum Miss {
-    /// The store cannot be reached, or accepts nothing: the next blob would fare no better.
+pub enum TransferError {
+    /// The store cannot be reached or rejects all requests, so the next blob would fail, too.
     Store(String),
-    /// The connection broke, or the store is in trouble: it may be tried again at once.
+    /// The connection broke, or the store has an internal fault. The transfer may be retried at once.
     Broken(String),
-    /// This blob is not there, or not as announced.
+    /// The blob is missing, or differs from the announced blob.
     Blob(String),
     /// The tile is cancelled.
     Cancelled,
 }
 
-/// A body of a request: bytes whose progress can be seen.
+/// A request body that reports the number of bytes sent.
 #[derive(Debug, Default)]
-pub struct Sending {
+pub struct UploadBody {
     bytes: Bytes,
     sent: Arc<AtomicU64>,
 }
 
-impl Body for Sending {
+impl Body for UploadBody {
     type Data = Bytes;
     type Error = Infallible;
 
@@ -76,7 +76,7 @@ impl Body for Sending {
     }
 }
 
-/// Whether and how this worker reaches the store of the blobs.
+/// This worker's access to the blob store, if it is allowed and offered.
 pub struct Direct {
     is_allowed: bool,
     state: Mutex<State>,
@@ -84,15 +84,15 @@ pub struct Direct {
 
 #[derive(Default)]
 struct State {
-    /// The client, and the authorities that it trusts beside the system's.
-    client: Option<(Client<Sending>, Vec<u8>)>,
-    /// Set by the welcome of each session.
+    /// The client, and the PEM text of the authorities that it trusts in addition to the system's.
+    client: Option<(Client<UploadBody>, Vec<u8>)>,
+    /// True if the welcome of the current session offered direct access.
     is_offered: bool,
     paused: Option<Instant>,
 }
 
 impl Direct {
-    /// A worker that does not know of a store yet.
+    /// Creates the state of a worker to which no store was offered yet.
     pub fn new(is_allowed: bool) -> Self {
         Self {
             is_allowed,
@@ -104,7 +104,8 @@ impl Direct {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A session begins; the coordinator offers addresses or not.
+    /// Begins a session. `offered` contains the settings for direct access, or is `None` if the coordinator
+    /// offers no addresses.
     pub fn welcome(&self, offered: Option<v1::Direct>) {
         let mut state = self.state();
         (state.is_offered, state.paused) = (false, None);
@@ -117,8 +118,8 @@ impl Direct {
                 Ok(client) => state.client = Some((client, ca)),
                 Err(e) => {
                     tracing::warn!(
-                        "the object store cannot be used from here: its authority, as the coordinator has \
-                         it: {e}; everything goes through the coordinator"
+                        "the object store is unusable, because its authority from the coordinator \
+                         is invalid: {e}; all blobs go through the coordinator"
                     );
                     return;
                 }
@@ -127,8 +128,8 @@ impl Direct {
         state.is_offered = true;
     }
 
-    /// The way to the store; `None` where blobs go through the coordinator.
-    pub fn client(&self) -> Option<Client<Sending>> {
+    /// Returns the client of the store, or `None` if blobs pass through the coordinator.
+    pub fn client(&self) -> Option<Client<UploadBody>> {
         let state = self.state();
         let is_paused = state.paused.is_some_and(|since| since.elapsed() < PAUSE);
         state
@@ -138,24 +139,24 @@ impl Direct {
             .map(|(client, _)| client.clone())
     }
 
-    /// The store cannot be reached: for a while it is not tried.
+    /// Pauses direct access, because the store cannot be reached.
     pub fn pause(&self) {
         self.state().paused = Some(Instant::now());
     }
 }
 
-/// The host of an address, for messages.
+/// Returns the host of an address, for messages.
 pub fn host(address: &v1::Address) -> String {
     let uri = address.url.parse::<Uri>().ok();
     uri.as_ref()
         .and_then(Uri::host)
-        .unwrap_or("an address that is none")
+        .unwrap_or("an invalid address")
         .to_owned()
 }
 
-fn request(method: &str, address: &v1::Address) -> Result<sightline_http::Builder, Miss> {
-    let unusable = || Miss::Store("the coordinator gave an address that is none".to_owned());
-    // The error of a wrong address could have parts of it.
+fn request(method: &str, address: &v1::Address) -> Result<sightline_http::Builder, TransferError> {
+    let unusable = || TransferError::Store("the coordinator sent an invalid address".to_owned());
+    // The error of an invalid address could contain parts of it.
     let uri: Uri = address.url.parse().map_err(|_| unusable())?;
     if !matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none() {
         return Err(unusable());
@@ -167,24 +168,27 @@ fn request(method: &str, address: &v1::Address) -> Result<sightline_http::Builde
     Ok(request)
 }
 
-fn built(builder: sightline_http::Builder, body: Sending) -> Result<Request<Sending>, Miss> {
+fn built(
+    builder: sightline_http::Builder,
+    body: UploadBody,
+) -> Result<Request<UploadBody>, TransferError> {
     builder
         .body(body)
-        .map_err(|_| Miss::Store("the coordinator gave headers that are none".to_owned()))
+        .map_err(|_| TransferError::Store("the coordinator sent invalid headers".to_owned()))
 }
 
-/// What a status that is no success says.
-fn refused(status: StatusCode) -> Miss {
-    let text = format!("it answers {}", status.as_u16());
+/// Returns the error for a status that is not a success.
+fn refused(status: StatusCode) -> TransferError {
+    let text = format!("status {}", status.as_u16());
     match status {
-        StatusCode::NOT_FOUND => Miss::Blob(text),
-        StatusCode::TOO_MANY_REQUESTS => Miss::Broken(text),
-        status if status.is_server_error() => Miss::Broken(text),
-        _ => Miss::Store(text),
+        StatusCode::NOT_FOUND => TransferError::Blob(text),
+        StatusCode::TOO_MANY_REQUESTS => TransferError::Broken(text),
+        status if status.is_server_error() => TransferError::Broken(text),
+        _ => TransferError::Store(text),
     }
 }
 
-/// A blob that arrives.
+/// A blob that is being downloaded.
 pub struct Download {
     bytes: Vec<u8>,
     hash: blake3::Hasher,
@@ -192,7 +196,7 @@ pub struct Download {
 }
 
 impl Download {
-    /// Of a blob with this length.
+    /// Starts the download of a blob with this length, in bytes.
     pub fn new(total: u64) -> Self {
         Self {
             bytes: Vec::new(),
@@ -201,32 +205,34 @@ impl Download {
         }
     }
 
-    /// Bytes that have arrived.
+    /// Returns the number of received bytes.
     pub fn length(&self) -> u64 {
         self.bytes.len() as u64
     }
 
-    /// The blob, if it has this digest.
-    pub fn finish(self, digest: &[u8; 32]) -> Result<Vec<u8>, Miss> {
+    /// Returns the blob if it has this digest.
+    pub fn finish(self, digest: &[u8; 32]) -> Result<Vec<u8>, TransferError> {
         if self.hash.finalize().as_bytes() == digest {
             return Ok(self.bytes);
         }
-        Err(Miss::Blob("its bytes do not have its digest".to_owned()))
+        Err(TransferError::Blob(
+            "the received bytes do not have the requested digest".to_owned(),
+        ))
     }
 
-    /// Reads on from where it is, to the end.
-    pub async fn go_on(
+    /// Reads the remaining bytes from the store.
+    pub async fn continue_download(
         &mut self,
-        client: &Client<Sending>,
+        client: &Client<UploadBody>,
         address: &v1::Address,
-    ) -> Result<(), Miss> {
+    ) -> Result<(), TransferError> {
         let from = self.length();
         let mut get = request("GET", address)?;
         if from > 0 {
             get = get.header(header::RANGE, format!("bytes={from}-"));
         }
         let answer = client
-            .request(built(get, Sending::default())?, ANSWER)
+            .request(built(get, UploadBody::default())?, ANSWER)
             .await;
         let answer = answer.map_err(|fault| self.fault(&fault))?;
         let (status, headers) = (answer.status(), answer.headers());
@@ -236,12 +242,12 @@ impl Download {
                     .get(header::CONTENT_RANGE)
                     .and_then(|range| range.to_str().ok());
                 if !range.is_some_and(|range| range.starts_with(&format!("bytes {from}-"))) {
-                    return Err(Miss::Blob(
-                        "it sends another part than the one asked for".to_owned(),
+                    return Err(TransferError::Blob(
+                        "the store sent another part than requested".to_owned(),
                     ));
                 }
             }
-            // Whoever knows no ranges sends the whole again.
+            // A server that does not support ranges sends the complete blob again.
             StatusCode::OK => *self = Self::new(self.total),
             status => return Err(refused(status)),
         }
@@ -249,18 +255,20 @@ impl Download {
         while let Some(piece) = body
             .next()
             .await
-            .map_err(|fault| Miss::Broken(fault.to_string()))?
+            .map_err(|fault| TransferError::Broken(fault.to_string()))?
         {
-            // Memory grows with what arrives, and ends with what was announced.
+            // Memory grows with the received bytes, and is limited by the announced length.
             if self.length() + piece.len() as u64 > self.total {
-                return Err(Miss::Blob("it is longer than announced".to_owned()));
+                return Err(TransferError::Blob(
+                    "the blob is longer than announced".to_owned(),
+                ));
             }
             self.hash.update(&piece);
             self.bytes.extend_from_slice(&piece);
         }
         if self.length() < self.total {
-            return Err(Miss::Broken(format!(
-                "it ended after {} of {} bytes",
+            return Err(TransferError::Broken(format!(
+                "the answer of the store ended after {} of {} bytes",
                 self.length(),
                 self.total
             )));
@@ -268,25 +276,26 @@ impl Download {
         Ok(())
     }
 
-    /// A store that cannot be reached from the start is left alone; one that was reached may come back.
-    fn fault(&self, fault: &Fault) -> Miss {
-        match fault.during {
-            During::Connecting if self.bytes.is_empty() => {
-                Miss::Store(format!("no connection: {fault}"))
+    /// Converts an error. A store that cannot be connected to before the first byte is not retried. A store
+    /// that sent bytes before may become reachable again.
+    fn fault(&self, fault: &RequestError) -> TransferError {
+        match fault.stage {
+            RequestStage::Connecting if self.bytes.is_empty() => {
+                TransferError::Store(format!("no connection: {fault}"))
             }
-            _ => Miss::Broken(fault.to_string()),
+            _ => TransferError::Broken(fault.to_string()),
         }
     }
 }
 
-/// Writes an output. Ends early when its lease does.
+/// Writes an output to the store. Ends early if the lease ends.
 pub async fn upload(
-    client: &Client<Sending>,
+    client: &Client<UploadBody>,
     address: &v1::Address,
     bytes: Bytes,
-    held: &LeasedTile,
-) -> Result<(), Miss> {
-    let body = Sending {
+    leased: &LeasedTile,
+) -> Result<(), TransferError> {
+    let body = UploadBody {
         bytes,
         sent: Arc::default(),
     };
@@ -294,11 +303,11 @@ pub async fn upload(
     let put = built(request("PUT", address)?, body)?;
     let answer = tokio::select! {
         answer = client.request(put, UPLOAD) => answer,
-        miss = stalled(&sent, held) => return Err(miss),
+        error = stalled(&sent, leased) => return Err(error),
     };
-    let answer = answer.map_err(|fault| match fault.during {
-        During::Connecting => Miss::Store(format!("no connection: {fault}")),
-        _ => Miss::Broken(fault.to_string()),
+    let answer = answer.map_err(|fault| match fault.stage {
+        RequestStage::Connecting => TransferError::Store(format!("no connection: {fault}")),
+        _ => TransferError::Broken(fault.to_string()),
     })?;
     if answer.status() == StatusCode::OK {
         Ok(())
@@ -307,20 +316,20 @@ pub async fn upload(
     }
 }
 
-/// Resolves when an upload makes no progress, or is not needed any more.
-async fn stalled(sent: &AtomicU64, held: &LeasedTile) -> Miss {
+/// Waits until an upload makes no progress or is no longer needed, and returns the reason.
+async fn stalled(sent: &AtomicU64, leased: &LeasedTile) -> TransferError {
     use sightline_bake::Watcher as _;
     let (mut last, mut since) = (0, Instant::now());
     loop {
         tokio::time::sleep(LOOK).await;
         let now = sent.load(Ordering::Relaxed);
-        if held.cancelled() {
-            return Miss::Cancelled;
+        if leased.cancelled() {
+            return TransferError::Cancelled;
         }
         if now != last {
             (last, since) = (now, Instant::now());
         } else if since.elapsed() > STALL {
-            return Miss::Broken("the upload came to a halt".to_owned());
+            return TransferError::Broken("the upload made no progress for 60 s".to_owned());
         }
     }
 }
@@ -340,8 +349,8 @@ mod tests {
         }
     }
 
-    /// A store that gives these answers, a connection each; and a client.
-    fn store(answers: Vec<String>) -> (v1::Address, Client<Sending>) {
+    /// Creates a store that gives these answers, one per connection, and returns its address and a client.
+    fn store(answers: Vec<String>) -> (v1::Address, Client<UploadBody>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!(
             "http://{}/blob?X-Amz-Signature=hush",
@@ -367,7 +376,8 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_not_as_announced_is_refused() {
+    async fn download_rejects_unannounced_answers() {
+        use TransferError::{Blob, Broken, Store};
         let (at, client) = store(vec![
             answer("200 OK", 7, "seventy"),
             answer("200 OK", 6, "six"),
@@ -379,39 +389,35 @@ mod tests {
         ]);
         let mut download = Download::new(6);
         assert!(
-            matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("longer"))
+            matches!(download.continue_download(&client, &at).await, Err(Blob(e)) if e.contains("longer"))
         );
-        // What has come stays; the rest is asked for, and has to be that.
+        // The received bytes stay. The next request asks for the rest, and its answer must be that part.
         let mut download = Download::new(6);
         assert!(matches!(
-            download.go_on(&client, &at).await,
-            Err(Miss::Broken(_))
+            download.continue_download(&client, &at).await,
+            Err(Broken(_))
         ));
         assert_eq!(download.length(), 3);
         assert!(
-            matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("part"))
+            matches!(download.continue_download(&client, &at).await, Err(Blob(e)) if e.contains("part"))
         );
-        download.go_on(&client, &at).await.unwrap();
+        download.continue_download(&client, &at).await.unwrap();
         assert_eq!(download.length(), 6);
         assert_eq!(
             download.finish(blake3::hash(b"sixten").as_bytes()).unwrap(),
             b"sixten"
         );
-        let mut miss = Vec::new();
+        let mut errors = Vec::new();
         for _ in 0..3 {
             let mut download = Download::new(6);
-            miss.push(download.go_on(&client, &at).await.unwrap_err());
+            errors.push(download.continue_download(&client, &at).await.unwrap_err());
         }
-        assert!(
-            matches!(&miss[..], [Miss::Store(e), Miss::Blob(_), Miss::Broken(_)] if e == "it answers 403")
-        );
-        assert!(
-            matches!(Download::new(0).finish(&[0; 32]), Err(Miss::Blob(e)) if e.contains("digest"))
-        );
+        assert!(matches!(&errors[..], [Store(e), Blob(_), Broken(_)] if e == "status 403"));
+        assert!(matches!(Download::new(0).finish(&[0; 32]), Err(Blob(e)) if e.contains("digest")));
     }
 
     #[tokio::test]
-    async fn no_message_has_an_address() {
+    async fn messages_contain_no_address() {
         let (_, client) = store(Vec::new());
         for url in [
             "",
@@ -421,10 +427,13 @@ mod tests {
             "http://no host/?hush",
         ] {
             let at = address(url);
-            let miss = Download::new(1).go_on(&client, &at).await.unwrap_err();
-            let text = format!("{miss:?} {} {at:?}", host(&at));
+            let error = Download::new(1)
+                .continue_download(&client, &at)
+                .await
+                .unwrap_err();
+            let text = format!("{error:?} {} {at:?}", host(&at));
             assert!(
-                matches!(miss, Miss::Store(_)) && !text.contains("hush"),
+                matches!(error, TransferError::Store(_)) && !text.contains("hush"),
                 "{text}"
             );
         }
@@ -435,13 +444,16 @@ mod tests {
         });
         let text = format!(
             "{:?}",
-            Download::new(1).go_on(&client, &at).await.unwrap_err()
+            Download::new(1)
+                .continue_download(&client, &at)
+                .await
+                .unwrap_err()
         );
         assert!(!text.contains("hush"), "{text}");
     }
 
     #[test]
-    fn a_store_is_left_alone_until_the_next_session() {
+    fn paused_store_is_unused_until_next_session() {
         let direct = Direct::new(true);
         assert!(direct.client().is_none());
         direct.welcome(Some(v1::Direct { ca: Vec::new() }));

@@ -1,5 +1,5 @@
-//! Scenes, packs and receivers on their way here: from the store of the blobs where the coordinator gives an
-//! address, else from the coordinator. Either way their digest is checked.
+//! Downloads of scenes, packs and receivers. If the coordinator gives an address, the worker reads from the
+//! blob store, otherwise from the coordinator. The digest is always checked.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,28 +11,28 @@ use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use tonic::{Code, Status, Streaming};
 
-use crate::counters::{Direction, Way};
-use crate::direct::{self, Download, Miss, Sending};
+use crate::counters::{BlobRoute, Direction};
+use crate::direct::{self, Download, TransferError, UploadBody};
 use crate::status::describe;
 use crate::tile_runner::TileRunner;
 use crate::traced_scenes::TracedScene;
 
-/// Largest scene or pack accepted from a coordinator, in bytes.
+/// Maximum size of a scene or pack that a worker accepts, in bytes.
 const MAX_FETCH: u64 = 64 << 30;
-/// How often a download that breaks off is taken up again without having come further.
+/// Maximum number of times that an interrupted download without progress is continued.
 const TRIES: u32 = 3;
-/// The wait before that.
+/// The wait before an interrupted download is continued.
 const WAIT: Duration = Duration::from_millis(300);
 
-/// What is fetched.
+/// The type of a downloaded blob.
 #[derive(Clone, Copy)]
-enum Kind {
+enum FetchKind {
     Scene,
     Pack,
     Receivers,
 }
 
-impl Kind {
+impl FetchKind {
     fn name(self) -> &'static str {
         match self {
             Self::Scene => "scene",
@@ -42,64 +42,68 @@ impl Kind {
     }
 }
 
-/// Something that was not fetched.
-enum Unfetched {
-    /// The coordinator says why.
+/// An error of a download.
+enum FetchError {
+    /// The coordinator rejected the request.
     Refused(Status),
-    /// The bytes are others.
+    /// The bytes do not have the requested digest.
     Damaged,
-    /// They did not come, or not as they should.
+    /// The bytes did not arrive, or arrived in a wrong form.
     Broken(String),
 }
 
-impl Unfetched {
-    fn describe(&self, kind: Kind) -> String {
+impl FetchError {
+    fn describe(&self, kind: FetchKind) -> String {
         match self {
             Self::Refused(s) => describe(s),
-            Self::Damaged => format!("the {} that arrived is not the one asked for", kind.name()),
+            Self::Damaged => format!(
+                "the received {} does not have the requested digest",
+                kind.name()
+            ),
             Self::Broken(reason) => reason.clone(),
         }
     }
 }
 
 impl TileRunner {
-    /// A scene, from the cache, the store or the coordinator.
+    /// Returns a scene from the cache, the blob store or the coordinator.
     pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<TracedScene>, String> {
         let fetch = async {
-            self.fetch(Kind::Scene, digest)
+            self.fetch(FetchKind::Scene, digest)
                 .await
-                .map_err(|e| e.describe(Kind::Scene))
+                .map_err(|e| e.describe(FetchKind::Scene))
         };
         let decode = |bytes: Vec<u8>| TracedScene::decode(&bytes);
         self.config.scenes.get(digest, fetch, decode).await
     }
 
-    /// A pack; `None` when the coordinator has lost it or its bytes are damaged.
+    /// Returns a pack, or `None` if the coordinator has lost the pack or the bytes are damaged.
     pub async fn pack(&self, digest: [u8; 32]) -> Result<Option<bytes::Bytes>, String> {
         if let Some(pack) = self.packs.get(&digest) {
             return Ok(Some(pack));
         }
-        match self.fetch(Kind::Pack, digest).await {
+        match self.fetch(FetchKind::Pack, digest).await {
             Ok(bytes) => {
                 let bytes = bytes::Bytes::from(bytes);
                 self.packs.put(digest, bytes.clone());
                 Ok(Some(bytes))
             }
-            Err(Unfetched::Damaged) => Ok(None),
-            Err(Unfetched::Refused(s)) if matches!(s.code(), Code::NotFound | Code::DataLoss) => {
+            Err(FetchError::Damaged) => Ok(None),
+            Err(FetchError::Refused(s)) if matches!(s.code(), Code::NotFound | Code::DataLoss) => {
                 Ok(None)
             }
-            Err(e) => Err(e.describe(Kind::Pack)),
+            Err(e) => Err(e.describe(FetchKind::Pack)),
         }
     }
 
-    /// Receivers on a scene of so many triangles, from the cache, the store or the coordinator.
+    /// Returns the receivers of a scene with `triangles` triangles, from the cache, the blob store or the
+    /// coordinator.
     pub async fn receivers(
         &self,
         digest: [u8; 32],
         triangles: u32,
     ) -> Result<Arc<Receivers>, String> {
-        let kind = Kind::Receivers;
+        let kind = FetchKind::Receivers;
         let fetch = async { self.fetch(kind, digest).await.map_err(|e| e.describe(kind)) };
         let decode =
             move |bytes: Vec<u8>| Receivers::decode(&bytes, triangles).map_err(|e| e.to_string());
@@ -107,45 +111,45 @@ impl TileRunner {
         self.config.receivers.get(key, fetch, decode).await
     }
 
-    /// A blob whose digest is checked.
-    async fn fetch(&self, kind: Kind, digest: [u8; 32]) -> Result<Vec<u8>, Unfetched> {
+    /// Downloads a blob and checks its digest.
+    async fn fetch(&self, kind: FetchKind, digest: [u8; 32]) -> Result<Vec<u8>, FetchError> {
         let client = self.direct.client();
         let (first, stream) = self.ask(kind, digest, client.is_some(), false).await?;
         let counters = &self.config.counters;
         let Some((client, address)) = client.zip(first.address.as_ref()) else {
             let bytes = assemble(first, stream, digest).await?;
-            counters.moved(Direction::In, Way::Coordinator, bytes.len());
+            counters.transferred(Direction::In, BlobRoute::Coordinator, bytes.len());
             return Ok(bytes);
         };
-        let miss = match self.read(kind, digest, &client, &first).await {
+        let error = match self.read(kind, digest, &client, &first).await {
             Ok(bytes) => {
-                counters.moved(Direction::In, Way::Direct, bytes.len());
+                counters.transferred(Direction::In, BlobRoute::Direct, bytes.len());
                 return Ok(bytes);
             }
-            Err(miss) => miss,
+            Err(error) => error,
         };
         self.fall_back(
-            &miss,
+            &error,
             &format!("{} {}", kind.name(), blake3::Hash::from(digest)),
             address,
         );
         let (first, stream) = self.ask(kind, digest, false, true).await?;
         let bytes = assemble(first, stream, digest).await?;
-        counters.moved(Direction::In, Way::Fallback, bytes.len());
+        counters.transferred(Direction::In, BlobRoute::Fallback, bytes.len());
         Ok(bytes)
     }
 
-    /// Asks the coordinator for a blob; gives the first chunk of its answer.
+    /// Requests a blob from the coordinator. Returns the first chunk of the answer.
     async fn ask(
         &self,
-        kind: Kind,
+        kind: FetchKind,
         digest: [u8; 32],
         direct: bool,
         fell_back: bool,
-    ) -> Result<(v1::Chunk, Streaming<v1::Chunk>), Unfetched> {
+    ) -> Result<(v1::Chunk, Streaming<v1::Chunk>), FetchError> {
         let (mut client, digest) = (self.client.clone(), digest.to_vec());
         let answer = match kind {
-            Kind::Scene => {
+            FetchKind::Scene => {
                 client
                     .fetch_scene(v1::FetchSceneRequest {
                         digest,
@@ -154,7 +158,7 @@ impl TileRunner {
                     })
                     .await
             }
-            Kind::Pack | Kind::Receivers => {
+            FetchKind::Pack | FetchKind::Receivers => {
                 client
                     .fetch_pack(v1::FetchPackRequest {
                         digest,
@@ -164,27 +168,27 @@ impl TileRunner {
                     .await
             }
         };
-        let mut stream = answer.map_err(Unfetched::Refused)?.into_inner();
+        let mut stream = answer.map_err(FetchError::Refused)?.into_inner();
         match stream.next().await {
             Some(Ok(first)) => Ok((first, stream)),
-            Some(Err(s)) => Err(Unfetched::Refused(s)),
-            None => Err(Unfetched::Broken(
-                "the coordinator sent nothing; it is asked again".to_owned(),
+            Some(Err(s)) => Err(FetchError::Refused(s)),
+            None => Err(FetchError::Broken(
+                "the coordinator sent no data; the request is sent again".to_owned(),
             )),
         }
     }
 
-    /// Reads a blob from the store. `first` has its address and its length.
+    /// Reads a blob from the blob store. `first` contains its address and its length.
     async fn read(
         &self,
-        kind: Kind,
+        kind: FetchKind,
         digest: [u8; 32],
-        client: &Client<Sending>,
+        client: &Client<UploadBody>,
         first: &v1::Chunk,
-    ) -> Result<Vec<u8>, Miss> {
+    ) -> Result<Vec<u8>, TransferError> {
         if first.total > MAX_FETCH {
-            return Err(Miss::Blob(format!(
-                "it has {} bytes; at most {MAX_FETCH} are accepted",
+            return Err(TransferError::Blob(format!(
+                "the blob has {} bytes; at most {MAX_FETCH} are accepted",
                 first.total
             )));
         }
@@ -192,10 +196,10 @@ impl TileRunner {
         let (mut download, mut asked, mut tries) = (Download::new(first.total), Instant::now(), 0);
         loop {
             let before = download.length();
-            let reason = match download.go_on(client, &address).await {
+            let reason = match download.continue_download(client, &address).await {
                 Ok(()) => return download.finish(&digest),
-                Err(Miss::Broken(reason)) => reason,
-                Err(miss) => return Err(miss),
+                Err(TransferError::Broken(reason)) => reason,
+                Err(error) => return Err(error),
             };
             tries = if download.length() > before {
                 1
@@ -203,57 +207,62 @@ impl TileRunner {
                 tries + 1
             };
             if tries > TRIES {
-                return Err(Miss::Store(reason));
+                return Err(TransferError::Store(reason));
             }
             tracing::info!(
-                "the {} breaks off after {} of {} bytes ({reason}); it goes on from there",
+                "the transfer of the {} stopped after {} of {} bytes ({reason}), and continues \
+                 from there",
                 kind.name(),
                 download.length(),
                 first.total
             );
             tokio::time::sleep(WAIT * tries).await;
             if asked.elapsed() > Duration::from_secs(u64::from(address.seconds)) / 2 {
-                // It may not be accepted any more.
+                // The address may have expired.
                 let (again, _) = self
                     .ask(kind, digest, true, false)
                     .await
-                    .map_err(|e| Miss::Blob(e.describe(kind)))?;
-                let none = || Miss::Store("the coordinator gives no further address".to_owned());
+                    .map_err(|e| TransferError::Blob(e.describe(kind)))?;
+                let none =
+                    || TransferError::Store("the coordinator returned no new address".to_owned());
                 (address, asked) = (again.address.ok_or_else(none)?, Instant::now());
             }
         }
     }
 
-    /// Says that something goes through the coordinator after all, and leaves a store alone that cannot be
-    /// reached.
-    pub fn fall_back(&self, miss: &Miss, what: &str, address: &v1::Address) {
-        let (reason, more) = match miss {
-            Miss::Store(reason) | Miss::Broken(reason) => {
+    /// Logs that a transfer uses the coordinator instead, and pauses an unreachable store.
+    pub fn fall_back(&self, error: &TransferError, what: &str, address: &v1::Address) {
+        let (reason, more) = match error {
+            TransferError::Store(reason) | TransferError::Broken(reason) => {
                 self.direct.pause();
-                (reason.as_str(), ", and so does everything for ten minutes")
+                (
+                    reason.as_str(),
+                    ", as do all blobs for the next ten minutes",
+                )
             }
-            Miss::Blob(reason) => (reason.as_str(), ""),
-            Miss::Cancelled => return,
+            TransferError::Blob(reason) => (reason.as_str(), ""),
+            TransferError::Cancelled => return,
         };
         tracing::warn!(
-            "{what}: the object store at {} does not do ({reason}); it goes through the coordinator{more}",
+            "{what}: the object store at {} is unusable ({reason}); the transfer goes through the \
+             coordinator{more}",
             direct::host(address)
         );
     }
 }
 
-/// A blob from the coordinator, whose digest is checked.
+/// Assembles a blob from the coordinator's chunks and checks its digest.
 async fn assemble(
     first: v1::Chunk,
     mut stream: Streaming<v1::Chunk>,
     digest: [u8; 32],
-) -> Result<Vec<u8>, Unfetched> {
-    let broken = |e: &dyn std::fmt::Display| Unfetched::Broken(e.to_string());
+) -> Result<Vec<u8>, FetchError> {
+    let broken = |e: &dyn std::fmt::Display| FetchError::Broken(e.to_string());
     let mut whole = Assembler::new(MAX_FETCH);
     whole.push(&first).map_err(|e| broken(&e))?;
     while let Some(chunk) = stream.next().await {
         whole
-            .push(&chunk.map_err(Unfetched::Refused)?)
+            .push(&chunk.map_err(FetchError::Refused)?)
             .map_err(|e| broken(&e))?;
     }
     let bytes = whole.finish().map_err(|e| broken(&e))?;
@@ -264,5 +273,5 @@ async fn assemble(
     checked
         .await
         .map_err(|e| broken(&e))?
-        .ok_or(Unfetched::Damaged)
+        .ok_or(FetchError::Damaged)
 }

@@ -1,13 +1,13 @@
-//! A lease that this worker works under: its progress, and whether it is cancelled.
+//! A lease of this worker: its progress, and its cancellation.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use sightline_bake::Watcher;
 use sightline_proto::v1;
 
-/// A held lease, shared by the session and the tile that runs under it.
+/// A lease of this worker, shared by the session and the tile that is computed under it.
 pub struct LeasedTile {
-    /// The lease.
+    /// The lease of the tile.
     pub lease: v1::Lease,
     cells: AtomicU64,
     samples: AtomicU64,
@@ -16,7 +16,7 @@ pub struct LeasedTile {
 }
 
 impl LeasedTile {
-    /// The state of a new lease.
+    /// Creates the state of a new lease.
     pub fn new(lease: v1::Lease) -> Self {
         Self {
             lease,
@@ -27,22 +27,23 @@ impl LeasedTile {
         }
     }
 
-    /// Tells the tile to stop.
+    /// Cancels the tile. Its computation stops soon after.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Notes that the tile runs.
+    /// Records that the tile runs.
     pub fn begin(&self) {
         self.begun.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the tile runs. Before that it fetches its data and waits for the tile before it.
+    /// Returns true if the tile runs. Before that, the worker fetches the tile's data or finishes the
+    /// preceding tile.
     pub fn begun(&self) -> bool {
         self.begun.load(Ordering::Relaxed)
     }
 
-    /// The progress of the tile, as the message that renews the lease.
+    /// Returns the progress of the tile, as the message that renews the lease.
     pub fn progress(&self) -> v1::Progress {
         v1::Progress {
             lease: Some(self.lease),

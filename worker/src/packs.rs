@@ -1,21 +1,22 @@
-//! Cache of packs from the coordinator, kept compressed.
+//! A cache of compressed packs from the coordinator.
 //!
-//! The crate `lru` limits a number of values, and this cache the sum of their bytes.
+//! The crate `lru` limits the number of values; this cache limits the sum of their bytes.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
-/// Most compressed bytes kept. The cache pays since neighbouring tiles need mostly the same packs.
+/// Maximum total size of the cached packs, compressed, in bytes. The cache pays off because neighbouring
+/// tiles need mostly the same packs.
 const ROOM: usize = 256 << 20;
 
-/// Packs by digest; the oldest are dropped first.
+/// Packs by digest. The oldest packs are dropped first.
 #[derive(Default)]
 pub struct PackCache {
     packs: Mutex<VecDeque<([u8; 32], bytes::Bytes)>>,
 }
 
 impl PackCache {
-    /// The pack, if it is in the cache.
+    /// Returns the pack if it is in the cache.
     pub fn get(&self, digest: &[u8; 32]) -> Option<bytes::Bytes> {
         let packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
         packs

@@ -1,4 +1,4 @@
-//! The jobs of the last orders, decoded and planned: a worker gets many tiles of one job.
+//! The jobs of the last grants, decoded and planned, because a worker gets many tiles of one job.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -6,22 +6,25 @@ use std::sync::{Arc, Mutex, PoisonError};
 use sightline_model::{JobSpec, PlannedJob, SceneFacts};
 use sightline_proto::v1;
 
-/// Maximum number of jobs that are kept.
+/// Maximum number of cached jobs.
 const KEPT: usize = 4;
 
-/// The jobs of the last orders, the newest last.
+/// The jobs of the last grants, the newest last.
 #[derive(Default)]
 pub struct PlannedJobs(Mutex<VecDeque<(v1::JobSpec, Arc<PlannedJob>)>>);
 
 impl PlannedJobs {
-    /// Finds or plans the job of an order.
+    /// Returns the job of a grant from the cache, or plans the job.
     ///
     /// # Errors
-    /// The reason, when the order has no specification that this program can read.
+    /// The reason, if the grant contains no specification that this program can read.
     pub fn job(&self, message: Option<v1::JobSpec>) -> Result<Arc<PlannedJob>, String> {
-        let message = message.ok_or("the order has no specification")?;
+        let message = message.ok_or("the coordinator's message has no job specification")?;
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, job)) = kept.iter().find(|(of, _)| *of == message) {
+        if let Some((_, job)) = kept
+            .iter()
+            .find(|(kept_message, _)| *kept_message == message)
+        {
             return Ok(Arc::clone(job));
         }
         let spec = JobSpec::from_message(&message, &SceneFacts::default());
@@ -40,7 +43,7 @@ mod tests {
 
     use super::*;
 
-    fn order(receivers: u8) -> Option<v1::JobSpec> {
+    fn message(receivers: u8) -> Option<v1::JobSpec> {
         let ambient = Ambient {
             receivers: [receivers; 32],
             bytes: 1000,
@@ -53,12 +56,12 @@ mod tests {
     #[test]
     fn last_jobs_are_planned_once() {
         let jobs = PlannedJobs::default();
-        let first = jobs.job(order(1)).unwrap();
-        assert!(Arc::ptr_eq(&first, &jobs.job(order(1)).unwrap()));
-        (2..=4).for_each(|n| drop(jobs.job(order(n)).unwrap()));
-        assert!(Arc::ptr_eq(&first, &jobs.job(order(1)).unwrap()));
-        jobs.job(order(5)).unwrap();
-        assert!(!Arc::ptr_eq(&first, &jobs.job(order(1)).unwrap()));
+        let first = jobs.job(message(1)).unwrap();
+        assert!(Arc::ptr_eq(&first, &jobs.job(message(1)).unwrap()));
+        (2..=4).for_each(|n| drop(jobs.job(message(n)).unwrap()));
+        assert!(Arc::ptr_eq(&first, &jobs.job(message(1)).unwrap()));
+        jobs.job(message(5)).unwrap();
+        assert!(!Arc::ptr_eq(&first, &jobs.job(message(1)).unwrap()));
         assert!(jobs.job(None).is_err());
         assert!(jobs.job(Some(v1::JobSpec::default())).is_err());
     }

@@ -1,5 +1,7 @@
-//! The worker's stream to its coordinator: sends the worker's profiles, takes grants, renews leases, and
-//! reconnects after a broken connection.
+//! The worker's stream to its coordinator.
+//!
+//! The session sends the worker's profiles, accepts grants, renews leases, and reconnects after a broken
+//! connection.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,20 +22,20 @@ use crate::leased_tile::LeasedTile;
 use crate::status::describe;
 use crate::tile_runner::{Failure, TileRunner};
 
-/// Most tiles held at once: one that runs and one whose data is fetched.
+/// Maximum number of held tiles: one that runs and one whose data is fetched.
 const IN_HAND: usize = 2;
-/// Interval between renewals of leases.
+/// The interval between renewals of leases.
 const RENEW: Duration = Duration::from_secs(1);
-/// First and longest wait before a reconnection. After a restart the coordinator waits a little longer than
-/// the longest one before it gives tiles at work to other workers.
+/// The minimum and the maximum wait before a reconnection. After a restart, the coordinator waits a little
+/// longer than the maximum before it grants running tiles to other workers.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
-/// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
+/// The duration of a connection after which waits start at the minimum again. Short waits matter, because the
 /// coordinator keeps the leases of a disconnected worker for less than two seconds.
 const STEADY: Duration = Duration::from_secs(1);
 
 /// Delay before a tile is reported as failed because of the machine or the network.
 const AFTER_FAILURE: Duration = Duration::from_secs(1);
-/// How long a draining worker waits until the coordinator has read its last messages.
+/// Timeout for a draining worker's wait until the coordinator has read its last messages.
 const FAREWELL: Duration = Duration::from_secs(2);
 
 type LeaseKey = (u64, u32, u64, u64);
@@ -42,45 +44,45 @@ fn key(l: &v1::Lease) -> LeaseKey {
     (l.job, l.tile, l.epoch, l.lease)
 }
 
-/// How long a worker whose name is taken tries again. The other worker may be its own predecessor on a
+/// The time for which a worker whose name is taken retries. The other worker may be its own predecessor on a
 /// machine that vanished: the coordinator ends such a connection after 30 s without an answer to its pings.
 const NAME_TAKEN: Duration = Duration::from_secs(40);
 
-/// How one connection ended.
+/// The way in which a connection ended.
 enum End {
     Stopped,
     Broken(String),
-    /// Another worker of this name is connected.
+    /// Another worker with the same name is connected.
     NameTaken(String),
 }
 
-/// A worker; it lives longer than a connection.
+/// A worker, which outlives its connections.
 pub struct Worker {
-    shop: Arc<TileRunner>,
-    /// Random and not 0; distinguishes this worker from another worker of the same name.
+    runner: Arc<TileRunner>,
+    /// A random number other than 0, which distinguishes this worker from another worker of the same name.
     instance: u64,
-    /// The identity from the first welcome; empty before.
+    /// The identity from the first welcome; empty before the first welcome.
     identity: Vec<u8>,
     held: BTreeMap<LeaseKey, Arc<LeasedTile>>,
-    /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
+    /// The leases of the leaders that this worker helps: one leader, and leaders that it is leaving.
     helping: BTreeMap<LeaseKey, Arc<LeasedTile>>,
     finished: (
         mpsc::UnboundedSender<Finished>,
         mpsc::UnboundedReceiver<Finished>,
     ),
-    /// What has ended and no coordinator has heard of, as far as is known.
+    /// Messages about ended work that no coordinator has received, as far as is known.
     unsaid: Vec<ToCoordinator>,
 }
 
 enum Finished {
     Tile(v1::Lease, Result<(), Failure>),
     Timed(v1::Timed),
-    /// It helps the holder of this lease no more.
+    /// The worker no longer helps the holder of this lease.
     Helped(v1::Lease, Arc<LeasedTile>),
 }
 
 impl Worker {
-    /// A worker without a connection.
+    /// Creates a worker without a connection.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
         let endpoint = config
             .credentials
@@ -88,7 +90,7 @@ impl Worker {
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true);
-        let shop = TileRunner {
+        let runner = TileRunner {
             planned: Default::default(),
             client: WorkersClient::new(connect::channel(&endpoint, &config.credentials)),
             direct: Direct::new(config.direct),
@@ -100,7 +102,7 @@ impl Worker {
             .map_err(|e| WorkerError::Random(e.to_string()))?
             .max(1);
         Ok(Self {
-            shop: Arc::new(shop),
+            runner: Arc::new(runner),
             instance,
             identity: Vec::new(),
             held: BTreeMap::new(),
@@ -110,7 +112,7 @@ impl Worker {
         })
     }
 
-    /// Connects and works until `stop` tells the worker to stop; reconnects after a broken connection.
+    /// Connects and works until `stop` contains a command to stop. Reconnects after a broken connection.
     pub async fn run(mut self, mut stop: watch::Receiver<Stop>) -> Result<(), WorkerError> {
         let mut wait = RECONNECT[0];
         let mut since = Instant::now();
@@ -118,7 +120,7 @@ impl Worker {
         loop {
             let connected = Instant::now();
             let end = self.connection(&mut stop).await;
-            self.shop.config.counters.connected(false);
+            self.runner.config.counters.connected(false);
             let reason = match end? {
                 End::Stopped => return Ok(()),
                 End::Broken(reason) => {
@@ -139,18 +141,18 @@ impl Worker {
                 (wait, since) = (RECONNECT[0], Instant::now());
             }
             if self
-                .shop
+                .runner
                 .config
                 .give_up_after
                 .is_some_and(|limit| since.elapsed() > limit)
             {
-                let address = self.shop.config.coordinator.clone();
+                let address = self.runner.config.coordinator.clone();
                 return Err(WorkerError::Unreachable { address, reason });
             }
             tracing::warn!(
-                worker = self.shop.config.name,
+                worker = self.runner.config.name,
                 "the connection to {} ended ({reason}); trying again in {wait:?}",
-                self.shop.config.coordinator
+                self.runner.config.coordinator
             );
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
@@ -165,7 +167,7 @@ impl Worker {
         }
     }
 
-    /// Whether a worker without a connection has nothing to stay for. One that drains delivers its tiles
+    /// Returns true if a worker without a connection may end. A draining worker delivers its running tiles
     /// first.
     fn may_stop(&self, stop: &watch::Receiver<Stop>) -> bool {
         match *stop.borrow() {
@@ -175,7 +177,7 @@ impl Worker {
         }
     }
 
-    /// Gives back what a draining worker does not finish: tiles that have not begun, and crews.
+    /// Returns the tiles that a draining worker does not finish, and leaves crews.
     fn give_back(&self) {
         self.held
             .values()
@@ -185,13 +187,13 @@ impl Worker {
     }
 
     async fn connection(&mut self, stop: &mut watch::Receiver<Stop>) -> Result<End, WorkerError> {
-        // The coordinator has forgotten whom this worker helped.
+        // The coordinator has forgotten which leaders this worker helped.
         self.helping.values().for_each(|h| h.cancel());
         let mut draining = *stop.borrow_and_update() == Stop::Drain;
-        // A tile that has ended since the last connection is not claimed: nobody would work on it.
+        // A tile that has ended since the last connection is not claimed, because no worker would compute it.
         while let Ok(done) = self.finished.1.try_recv() {
             let said = self.done(done, draining);
-            // How many tiles it wants it says when it is welcome.
+            // The worker requests tiles again after its welcome.
             self.unsaid.extend(
                 said.into_iter()
                     .filter(|m| !matches!(m, ToCoordinator::Want(_))),
@@ -202,13 +204,13 @@ impl Worker {
             out.try_send(v1::WorkerMessage { message: Some(m) })
                 .map_err(|e| e.to_string())
         };
-        // Jobs that need no backend are for every worker.
-        let backends = self.shop.config.backends.profiles();
+        // Every worker can take jobs that need no backend.
+        let backends = self.runner.config.backends.profiles();
         let profiles = backends
             .into_iter()
             .chain([sightline_model::NO_PROFILE.to_owned()]);
         let hello = v1::Hello {
-            name: self.shop.config.name.clone(),
+            name: self.runner.config.name.clone(),
             profiles: profiles.collect(),
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -216,7 +218,7 @@ impl Worker {
             protocol: sightline_proto::PROTOCOL,
             instance: self.instance,
             identity: self.identity.clone(),
-            helps: self.shop.config.helps,
+            helps: self.runner.config.helps,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
         for m in std::iter::once(ToCoordinator::Hello(hello)).chain(self.unsaid.iter().cloned()) {
@@ -231,7 +233,7 @@ impl Worker {
             }
         }
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
-        let mut inbound = match self.shop.client.clone().work(stream).await {
+        let mut inbound = match self.runner.client.clone().work(stream).await {
             Ok(response) => response.into_inner(),
             Err(s)
                 if matches!(
@@ -251,14 +253,14 @@ impl Worker {
         let mut renew = tokio::time::interval(RENEW);
         loop {
             if draining && self.held.is_empty() {
-                // Ends the stream; the coordinator ends its side after it has read everything.
+                // Close the stream; the coordinator closes its side after it has read all messages.
                 drop(out);
                 let read = async { while let Some(Ok(_)) = inbound.next().await {} };
                 // The worker stops even if the coordinator does not answer.
                 let _ = tokio::time::timeout(FAREWELL, read).await;
                 tracing::info!(
-                    worker = self.shop.config.name,
-                    "drained: no tile is left here"
+                    worker = self.runner.config.name,
+                    "drained: the worker holds no tile"
                 );
                 return Ok(End::Stopped);
             }
@@ -298,10 +300,16 @@ impl Worker {
                             draining = true;
                             self.give_back();
                             if self.held.values().any(|h| h.begun()) {
-                                tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, \
-                                    taking no more; interrupt again to stop at once");
+                                tracing::info!(
+                                    worker = self.runner.config.name,
+                                    "finishing the running tile and accepting no more tiles; interrupt \
+                                     again to stop at once"
+                                );
                             } else {
-                                tracing::info!(worker = self.shop.config.name, "taking no more tiles");
+                                tracing::info!(
+                                    worker = self.runner.config.name,
+                                    "accepting no more tiles"
+                                );
                             }
                             if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
                                 return Ok(broken(&e));
@@ -318,15 +326,15 @@ impl Worker {
         }
     }
 
-    /// Handles a message from the coordinator; returns the immediate answer, if any.
+    /// Handles a message from the coordinator. Returns the immediate answer, if any.
     fn heard(&mut self, message: FromCoordinator, draining: bool) -> Option<ToCoordinator> {
         match message {
             FromCoordinator::Welcome(w) => {
-                self.shop.config.counters.connected(true);
+                self.runner.config.counters.connected(true);
                 self.unsaid.clear();
-                self.shop.direct.welcome(w.direct);
+                self.runner.direct.welcome(w.direct);
                 self.identity = w.identity;
-                // Tiles whose lease was not kept are stopped.
+                // Stop the tiles whose leases were not kept.
                 for (k, h) in &self.held {
                     if !w.kept.iter().any(|l| key(l) == *k) {
                         h.cancel();
@@ -337,23 +345,23 @@ impl Worker {
             FromCoordinator::Grant(grant) => {
                 let lease = grant.lease?;
                 if draining {
-                    // It crossed with the word that this worker takes no more.
+                    // The grant crossed the message that this worker accepts no further tiles.
                     return Some(ToCoordinator::Failed(v1::TileFailed {
                         lease: Some(lease),
-                        reason: "the worker takes no more tiles".to_owned(),
+                        reason: "the worker accepts no more tiles".to_owned(),
                         infrastructure: true,
                     }));
                 }
-                let held = Arc::new(LeasedTile::new(lease));
-                self.held.insert(key(&lease), Arc::clone(&held));
-                let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
+                let leased = Arc::new(LeasedTile::new(lease));
+                self.held.insert(key(&lease), Arc::clone(&leased));
+                let (runner, report) = (Arc::clone(&self.runner), self.finished.0.clone());
                 tokio::spawn(async move {
-                    let result = shop.work(grant, held).await;
+                    let result = runner.work(grant, leased).await;
                     if matches!(result, Err(Failure::Infrastructure(_))) {
                         // A fault of the machine or the network may need some time to pass.
                         tokio::time::sleep(AFTER_FAILURE).await;
                     }
-                    // Fails only when the worker has ended.
+                    // The send fails only if the worker has ended.
                     let _ = report.send(Finished::Tile(lease, result));
                 });
                 None
@@ -361,13 +369,15 @@ impl Worker {
             FromCoordinator::Revoke(r) => {
                 let key = r.lease.map(|l| key(&l));
                 let mut known = false;
-                for of in [&self.held, &self.helping] {
-                    if let Some(h) = key.and_then(|key| of.get(&key)) {
+                for leases in [&self.held, &self.helping] {
+                    if let Some(h) = key.and_then(|key| leases.get(&key)) {
                         h.cancel();
                         known = true;
                     }
                 }
-                // The coordinator took a tile for held that was not, and did not count on that hand.
+                // The coordinator assumed that this worker holds the tile, so it counted too few tiles that
+                // the worker can accept.
+                // the worker can accept.
                 if known { None } else { self.wanted(draining) }
             }
             FromCoordinator::Help(help) => {
@@ -375,32 +385,36 @@ impl Worker {
                 if draining {
                     return Some(ToCoordinator::Helped(v1::Helped { lease: Some(lease) }));
                 }
-                let held = Arc::new(LeasedTile::new(lease));
-                self.helping.insert(key(&lease), Arc::clone(&held));
-                let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
+                let leased = Arc::new(LeasedTile::new(lease));
+                self.helping.insert(key(&lease), Arc::clone(&leased));
+                let (runner, report) = (Arc::clone(&self.runner), self.finished.0.clone());
                 tokio::spawn(async move {
                     let begun = Instant::now();
-                    if let Err(e) = shop.help(help, Arc::clone(&held)).await {
-                        tracing::info!("no help for tile {} of job {}: {e}", lease.tile, lease.job);
+                    if let Err(e) = runner.help(help, Arc::clone(&leased)).await {
+                        tracing::info!(
+                            "this worker cannot help with tile {} of job {}: {e}",
+                            lease.tile,
+                            lease.job
+                        );
                     }
                     if begun.elapsed() < AFTER_FAILURE {
-                        // It would be sent back at once.
+                        // Otherwise the coordinator would send the worker back at once.
                         tokio::time::sleep(AFTER_FAILURE).await;
                     }
-                    // Fails only when the worker has ended.
-                    let _ = report.send(Finished::Helped(lease, held));
+                    // The send fails only if the worker has ended.
+                    let _ = report.send(Finished::Helped(lease, leased));
                 });
                 None
             }
             FromCoordinator::Time(t) => {
-                let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
+                let (runner, report) = (Arc::clone(&self.runner), self.finished.0.clone());
                 tokio::spawn(async move {
                     let spec = t.spec.unwrap_or_default();
-                    let times = shop.time(&spec).await.unwrap_or_else(|e| {
+                    let times = runner.time(&spec).await.unwrap_or_else(|e| {
                         tracing::warn!("the backends could not be timed: {e}");
                         Vec::new()
                     });
-                    // Fails only when the worker has ended.
+                    // The send fails only if the worker has ended.
                     let _ = report.send(Finished::Timed(v1::Timed { job: t.job, times }));
                 });
                 None
@@ -408,23 +422,23 @@ impl Worker {
         }
     }
 
-    /// Asks for as many tiles as this worker may hold beside those that it holds. The coordinator counts no
-    /// hand twice.
+    /// Requests as many tiles as this worker may hold in addition to its held tiles. The coordinator limits
+    /// the sum of held and requested tiles, so a repeated request has no effect.
     fn wanted(&self, draining: bool) -> Option<ToCoordinator> {
         let tiles = IN_HAND.saturating_sub(self.held.len()) as u32;
         (!draining && tiles > 0).then_some(ToCoordinator::Want(v1::Want { tiles }))
     }
 
-    /// The messages to send after a tile or a timing has finished.
+    /// Returns the messages to send after a tile, a timing or help has finished.
     fn done(&mut self, done: Finished, draining: bool) -> Vec<ToCoordinator> {
         let (lease, result) = match done {
             Finished::Timed(t) => return vec![ToCoordinator::Timed(t)],
-            Finished::Helped(lease, held) => {
-                // After a reconnection it may help the same leader again.
+            Finished::Helped(lease, leased) => {
+                // After a reconnection the worker may help the same leader again.
                 if !self
                     .helping
                     .get(&key(&lease))
-                    .is_some_and(|now| Arc::ptr_eq(now, &held))
+                    .is_some_and(|now| Arc::ptr_eq(now, &leased))
                 {
                     return Vec::new();
                 }
@@ -441,14 +455,17 @@ impl Worker {
                 infrastructure,
             })
         };
-        self.shop.config.counters.ended(match &result {
+        self.runner.config.counters.ended(match &result {
             Ok(()) => Ended::Done,
             Err(Failure::Cancelled) => Ended::Cancelled,
             Err(Failure::Infrastructure(_) | Failure::Tile(_)) => Ended::Failed,
         });
         let mut say = match result {
             Err(Failure::Cancelled) if draining => {
-                vec![failed("its worker is going".to_owned(), true)]
+                vec![failed(
+                    "the worker drains and does not finish the tile".to_owned(),
+                    true,
+                )]
             }
             Ok(()) | Err(Failure::Cancelled) => Vec::new(),
             Err(Failure::Infrastructure(reason)) => vec![failed(reason, true)],

@@ -1,11 +1,11 @@
 //! A cache of values that several tiles of a process use.
 //!
-//! The crate `lru` would replace six lines: neither simultaneous fetches nor decoding away from the runtime's
-//! threads is a part of it.
+//! The crate `lru` would replace six lines: it supports neither shared fetches nor decoding outside the
+//! runtime's threads.
 
 use std::sync::Arc;
 
-/// The most values of one cache: that of the current job and that of the next job.
+/// Maximum number of values in a cache: one of the current job and one of the next job.
 const CAPACITY: usize = 2;
 
 /// The values that the tiles of a process used last, by key.
@@ -23,15 +23,17 @@ impl<K, V> Default for SharedCache<K, V> {
 }
 
 impl<K: PartialEq, V: Send + Sync + 'static> SharedCache<K, V> {
-    /// Creates a cache that holds one value.
+    /// Creates a cache that contains one value.
     pub fn holding(key: K, value: Arc<V>) -> Self {
         Self {
             entries: tokio::sync::Mutex::new(vec![(key, value)]),
         }
     }
 
-    /// Returns the value of `key`. If the cache lacks it, `fetch` returns its bytes, whose digest `fetch` has
-    /// checked, and `decode` reads them on a thread for blocking work. Simultaneous calls fetch once.
+    /// Returns the value of `key`, and fetches it if it is not cached.
+    ///
+    /// `fetch` returns the bytes of the value after it has checked their digest. `decode` decodes them on a
+    /// thread for blocking work. Simultaneous calls fetch once.
     ///
     /// # Errors
     /// The error of `fetch` or `decode`, or a message if `decode` panics.

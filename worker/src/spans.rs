@@ -1,8 +1,8 @@
-//! The spans that a worker sends of the tiles that it computes and of those that it helps with, where it and
-//! its coordinator were told to send traces.
+//! The spans that a worker sends for the tiles that it computes or helps with. The worker sends spans only if
+//! its coordinator sends traces, too.
 //!
-//! The spans of a lease are below the coordinator's span of it. Phases are timed from outside, by a crew
-//! around the crew: the sampler knows nothing of spans.
+//! The spans of a lease are children of the coordinator's span of the lease. A wrapper around the crew
+//! measures the durations of phases, so that the sampler does not depend on spans.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -12,73 +12,75 @@ use sightline_bake::Crew;
 use sightline_proto::v1;
 use sightline_sample::TileError;
 use sightline_sample::crew::{ForeignFinds, Phase};
-use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
+use sightline_traces::{Span, SpanId, SpanTime, TraceId, Traces};
 
 use crate::config::Config;
 
-/// What takes less time has no span of its own: data that is here already, a turn that nobody else had.
+/// Minimum duration of a step with its own span. Shorter steps used cached data, or did not wait.
 const LEAST_STEP: Duration = Duration::from_millis(1);
-/// The same of phases, of which a small tile has many.
+/// Minimum duration of a phase with its own span, because a small tile has many phases.
 const LEAST_PHASE: Duration = Duration::from_millis(10);
 
 /// The spans of a lease on the worker's side.
 #[derive(Clone)]
 pub struct Steps {
     traces: Traces,
-    /// What they are of; `None` where no spans are sent.
-    of: Option<Of>,
+    /// The data of the spans; `None` if no spans are sent.
+    context: Option<SpanContext>,
 }
 
 #[derive(Clone)]
-struct Of {
+struct SpanContext {
     trace: TraceId,
     lease: v1::Lease,
-    /// The span of all that this worker does under the lease.
+    /// The span of all work that this worker does under the lease.
     whole: SpanId,
     worker: String,
 }
 
 impl Steps {
-    /// The steps under a lease of a job with this trace, as a coordinator names it.
-    pub fn of(config: &Config, lease: v1::Lease, trace: &[u8]) -> Self {
+    /// Creates the spans of a lease. `trace` is the job's trace from the coordinator's message.
+    pub fn new(config: &Config, lease: v1::Lease, trace: &[u8]) -> Self {
         let traces = config.traces.clone();
         let trace = TraceId::of_bytes(trace).filter(|_| traces.is_on());
         let context = trace.map(|trace| {
             let (whole, worker) = (traces.fresh_id(), config.name.clone());
-            Of {
+            SpanContext {
                 trace,
                 lease,
                 whole,
                 worker,
             }
         });
-        Self {
-            traces,
-            of: context,
-        }
+        Self { traces, context }
     }
 
-    /// Sends a span, if any are sent.
-    fn send(&self, name: &'static str, begun: Begun, with: impl FnOnce(Span, &Of) -> Span) {
-        if let Some(of) = &self.of {
-            let span = Span::of(of.trace, name, begun).below(of.whole);
+    /// Sends a span, if spans are sent.
+    fn send(
+        &self,
+        name: &'static str,
+        begun: SpanTime,
+        with: impl FnOnce(Span, &SpanContext) -> Span,
+    ) {
+        if let Some(context) = &self.context {
+            let span = Span::new(context.trace, name, begun).below(context.whole);
             let span = span
-                .number("sightline.job", of.lease.job)
-                .number("sightline.tile", of.lease.tile);
+                .number("sightline.job", context.lease.job)
+                .number("sightline.tile", context.lease.tile);
             self.traces
-                .send(with(span.name("sightline.worker", &of.worker), of).end());
+                .send(with(span.name("sightline.worker", &context.worker), context).end());
         }
     }
 
-    /// Something has ended that took time only in some cases.
-    pub fn step(&self, name: &'static str, begun: Begun) {
+    /// Sends the span of a step that has ended, unless it was too short.
+    pub fn step(&self, name: &'static str, begun: SpanTime) {
         if begun.elapsed() >= LEAST_STEP {
             self.send(name, begun, |span, _| span);
         }
     }
 
-    /// An output was sent, after this many attempts.
-    pub fn uploaded(&self, begun: Begun, bytes: u64, attempts: u32, failed: bool) {
+    /// Sends the span of an upload that took this many attempts.
+    pub fn uploaded(&self, begun: SpanTime, bytes: u64, attempts: u32, failed: bool) {
         self.send("upload", begun, |span, _| {
             let span = span
                 .number("sightline.bytes", bytes)
@@ -87,20 +89,22 @@ impl Steps {
         });
     }
 
-    /// What this worker did under the lease has ended: a tile of its own, or help for another's.
+    /// Sends the span of the work under the lease. The work is a tile of this worker, or help for another
+    /// worker's tile.
     pub fn ended(
         &self,
         name: &'static str,
-        begun: Begun,
+        begun: SpanTime,
         profile: &str,
         samples: u64,
         end: &'static str,
     ) {
-        self.send(name, begun, |span, of| {
-            let lease = of
-                .trace
-                .lease(of.lease.tile, of.lease.epoch, of.lease.lease);
-            span.known_as(of.whole)
+        self.send(name, begun, |span, context| {
+            let lease =
+                context
+                    .trace
+                    .lease(context.lease.tile, context.lease.epoch, context.lease.lease);
+            span.known_as(context.whole)
                 .below(lease)
                 .name("sightline.profile", profile)
                 .number("sightline.samples", samples)
@@ -109,18 +113,19 @@ impl Steps {
         });
     }
 
-    /// Runs `compute` with a crew whose phases have spans below that of computing. `helps` says whether only
-    /// the items computed here count.
+    /// Runs `compute` with a crew whose phases have spans below the span of the computation.
+    ///
+    /// If `helps` is true, the span of a phase covers only the items that this worker computes.
     pub fn computing<T>(
         &self,
         crew: &dyn Crew,
         helps: bool,
         compute: impl FnOnce(&dyn Crew) -> T,
     ) -> T {
-        if self.of.is_none() {
+        if self.context.is_none() {
             return compute(crew);
         }
-        let begun = Begun::now();
+        let begun = SpanTime::now();
         let timed = Timed {
             crew,
             steps: self,
@@ -142,7 +147,7 @@ impl Steps {
 struct Timed<'a> {
     crew: &'a dyn Crew,
     steps: &'a Steps,
-    /// The span of computing.
+    /// The span of the computation.
     whole: SpanId,
     helps: bool,
     phases: AtomicU32,
@@ -151,7 +156,7 @@ struct Timed<'a> {
 impl Crew for Timed<'_> {
     fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
         let number = self.phases.fetch_add(1, Ordering::Relaxed);
-        let counted = Counted::of(phase);
+        let counted = Counted::new(phase);
         let done = self.crew.run(&counted);
         let items = counted.items.load(Ordering::Relaxed);
         let took = counted.begun.elapsed();
@@ -160,7 +165,7 @@ impl Crew for Timed<'_> {
             // A helper waits for its leader most of the time.
             Some(first) if self.helps => {
                 let last = Duration::from_nanos(counted.last.load(Ordering::Relaxed));
-                let end = Begun::ago(took.saturating_sub(last));
+                let end = SpanTime::ago(took.saturating_sub(last));
                 self.steps.send_until("items", *first, end, |span| {
                     with(span).number("sightline.items", items)
                 });
@@ -184,41 +189,41 @@ impl Crew for Timed<'_> {
 }
 
 impl Steps {
-    /// Sends a span that ended before now.
+    /// Sends a span that ended in the past.
     fn send_until(
         &self,
         name: &'static str,
-        begun: Begun,
-        end: Begun,
+        begun: SpanTime,
+        end: SpanTime,
         with: impl FnOnce(Span) -> Span,
     ) {
-        if let Some(of) = &self.of {
-            let span = Span::of(of.trace, name, begun);
+        if let Some(context) = &self.context {
+            let span = Span::new(context.trace, name, begun);
             let span = span
-                .number("sightline.job", of.lease.job)
-                .number("sightline.tile", of.lease.tile);
+                .number("sightline.job", context.lease.job)
+                .number("sightline.tile", context.lease.tile);
             self.traces
-                .send(with(span.name("sightline.worker", &of.worker)).end_at(end));
+                .send(with(span.name("sightline.worker", &context.worker)).end_at(end));
         }
     }
 }
 
-/// A phase that counts the items computed here, and notes when.
+/// A phase that counts the items that this worker computes and records their times.
 struct Counted<'a> {
     phase: &'a dyn Phase,
-    begun: Begun,
+    begun: SpanTime,
     items: AtomicU64,
-    first: OnceLock<Begun>,
-    /// When the last item was computed, in nanoseconds after the beginning.
+    first: OnceLock<SpanTime>,
+    /// The time at which the last item was computed, in nanoseconds after the beginning.
     last: AtomicU64,
 }
 
 impl<'a> Counted<'a> {
-    fn of(phase: &'a dyn Phase) -> Self {
+    fn new(phase: &'a dyn Phase) -> Self {
         let (items, last) = (AtomicU64::new(0), AtomicU64::new(0));
         Self {
             phase,
-            begun: Begun::now(),
+            begun: SpanTime::now(),
             items,
             first: OnceLock::new(),
             last,
@@ -244,7 +249,7 @@ impl Phase for Counted<'_> {
         item: usize,
         is_needless: &(dyn Fn() -> bool + Sync),
     ) -> Result<(), TileError> {
-        self.first.get_or_init(Begun::now);
+        self.first.get_or_init(SpanTime::now);
         let done = self.phase.compute(item, is_needless);
         self.items.fetch_add(1, Ordering::Relaxed);
         self.last

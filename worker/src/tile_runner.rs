@@ -1,18 +1,22 @@
-//! One tile from grant to commit: its scene and packs are fetched, it runs, and its output is uploaded.
+//! The execution of one tile from grant to commit.
+//!
+//! The worker fetches the scene and packs of the tile, computes the tile, and uploads its output.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use sightline_bake::{Alone, BakeError, Control, Crew, Inputs, PackBytes, Watcher as _};
+use sightline_bake::{BakeError, Control, Crew, Inputs, PackBytes, SoleMember, Watcher as _};
 use sightline_model::receivers::Receivers;
-use sightline_model::{GridCells, JobSpec, PlannedJob, Sampler, SceneFacts, Visibility};
-use sightline_proto::connecting::Connection;
+use sightline_model::{
+    GridCells, JobSpec, PlannedJob, Sampler, SceneFacts, TracerChoice, Visibility,
+};
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sample::{TileError, auto};
 use sightline_trace::{CubeSpec, gpu};
-use sightline_traces::Begun;
-use sightline_viewcells::Division;
+use sightline_traces::SpanTime;
+use sightline_viewcells::{Division, TileIndex};
 
 use crate::backends::Backends;
 use crate::config::Config;
@@ -24,7 +28,7 @@ use crate::planned::PlannedJobs;
 use crate::spans::Steps;
 use crate::traced_scenes::TracedScene;
 
-/// Why a tile was not committed.
+/// The reason why a tile was not committed.
 pub enum Failure {
     /// The lease was revoked, the job has ended, or the worker stops.
     Cancelled,
@@ -34,7 +38,7 @@ pub enum Failure {
     Tile(String),
 }
 
-/// The failure of a tile; `lost` is called when its backend failed.
+/// Converts the error of a tile to a failure. Calls `lost` if the backend failed.
 fn failure(e: BakeError, lost: impl FnOnce()) -> Failure {
     match e {
         BakeError::Cancelled => Failure::Cancelled,
@@ -46,8 +50,8 @@ fn failure(e: BakeError, lost: impl FnOnce()) -> Failure {
     }
 }
 
-/// What is run: a tile's inputs beside its scene and packs.
-struct Work<'a> {
+/// The inputs of a tile in addition to its scene and packs.
+struct TileInputs<'a> {
     job: &'a PlannedJob,
     profile: &'a str,
     receivers: Option<&'a Receivers>,
@@ -55,8 +59,9 @@ struct Work<'a> {
     crew: &'a dyn Crew,
 }
 
-/// Returns true if a crew can share a tile of the job: lines and the queries of portals are shared, cubes and
-/// receivers are not.
+/// Returns true if a crew can share a tile of the job.
+///
+/// Crews share lines and the queries of portals, but not cubes and receivers.
 fn is_shared(job: &PlannedJob) -> bool {
     let is_cubes = |task: &Visibility| {
         let sampling = task.sampling();
@@ -69,15 +74,15 @@ fn is_shared(job: &PlannedJob) -> bool {
 pub struct TileRunner {
     /// The worker's configuration.
     pub config: Config,
-    /// Cache of packs.
+    /// The cache of packs.
     pub packs: PackCache,
-    /// The jobs of the last orders.
+    /// The jobs of the last grants.
     pub planned: PlannedJobs,
-    /// One tile runs at a time, while the next one fetches its data.
+    /// The semaphore of the running tile. One tile runs at a time, while the next one fetches its data.
     pub running: tokio::sync::Semaphore,
-    /// The way to the store of the blobs.
+    /// The direct access to the blob store.
     pub direct: Direct,
-    /// Connection to the coordinator.
+    /// The connection to the coordinator.
     pub client: WorkersClient<Connection>,
 }
 
@@ -86,27 +91,27 @@ impl TileRunner {
     pub async fn work(
         self: &Arc<Self>,
         grant: v1::Grant,
-        held: Arc<LeasedTile>,
+        leased: Arc<LeasedTile>,
     ) -> Result<(), Failure> {
-        let steps = Steps::of(&self.config, held.lease, &grant.trace);
-        let (begun, profile) = (Begun::now(), grant.profile.clone());
-        let result = self.compute_and_commit(grant, &held, &steps).await;
+        let steps = Steps::new(&self.config, leased.lease, &grant.trace);
+        let (begun, profile) = (SpanTime::now(), grant.profile.clone());
+        let result = self.compute_and_commit(grant, &leased, &steps).await;
         let end = match &result {
             Ok(()) => "done",
             Err(Failure::Cancelled) => "taken_back",
             Err(Failure::Infrastructure(_) | Failure::Tile(_)) => "failed",
         };
-        steps.ended("tile", begun, &profile, held.progress().samples, end);
+        steps.ended("tile", begun, &profile, leased.progress().samples, end);
         result
     }
 
     async fn compute_and_commit(
         self: &Arc<Self>,
         grant: v1::Grant,
-        held: &Arc<LeasedTile>,
+        leased: &Arc<LeasedTile>,
         steps: &Steps,
     ) -> Result<(), Failure> {
-        let begun = Begun::now();
+        let begun = SpanTime::now();
         let infrastructure = Failure::Infrastructure;
         let job = self.planned.job(grant.spec).map_err(Failure::Tile)?;
         let loaded = self.scene(job.spec().scene).await.map_err(infrastructure)?;
@@ -128,146 +133,151 @@ impl TileRunner {
             None => None,
         };
         steps.step("fetch", begun);
-        let waits = Begun::now();
+        let waits = SpanTime::now();
         let turn = self
             .running
             .acquire()
             .await
             .map_err(|e| infrastructure(e.to_string()))?;
         steps.step("turn", waits);
-        if held.cancelled() {
+        if leased.cancelled() {
             return Err(Failure::Cancelled);
         }
-        held.begin();
-        // Members of a crew would not stop at the same place.
+        leased.begin();
+        // With a time limit, the members of a crew would not stop at the same item.
         let is_crewed = grant.millis.is_none() && is_shared(&job);
         let leader = match is_crewed {
-            true => Some(crew::lead(self.client.clone(), held.lease, held).await),
+            true => Some(crew::lead(self.client.clone(), leased.lease, leased).await),
             false => None,
         };
         let start = Instant::now();
-        let (shop, watcher, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
+        let (runner, watcher, computing) = (Arc::clone(self), Arc::clone(leased), steps.clone());
         let (bytes, rendered) = tokio::task::spawn_blocking(move || {
             let deadline = grant.millis.map(|m| start + Duration::from_millis(m));
             let crew = leader
                 .as_deref()
-                .map_or(&Alone as &dyn Crew, |leader| leader);
+                .map_or(&SoleMember as &dyn Crew, |leader| leader);
             computing.computing(crew, false, |crew| {
-                let work = Work {
+                let tile_inputs = TileInputs {
                     job: &job,
                     profile: &grant.profile,
                     receivers: receivers.as_deref(),
                     deadline,
                     crew,
                 };
-                shop.run(&work, &loaded, packs, &watcher)
+                runner.run(&tile_inputs, &loaded, packs, &watcher)
             })
         })
         .await
-        .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
+        .map_err(|e| Failure::Tile(format!("the computation of the tile panicked: {e}")))??;
         drop(turn);
         let header = v1::ResultHeader {
-            lease: Some(held.lease),
+            lease: Some(leased.lease),
             digest: blake3::hash(&bytes).as_bytes().to_vec(),
             bytes: bytes.len() as u64,
             samples: rendered,
-            cells: held.progress().cells,
+            cells: leased.progress().cells,
             millis: start.elapsed().as_millis() as u64,
             ..v1::ResultHeader::default()
         };
-        let (begun, length) = (Begun::now(), header.bytes);
+        let (begun, length) = (SpanTime::now(), header.bytes);
         let mut attempts = 0;
-        let sent = self.upload(header, bytes.into(), held, &mut attempts).await;
+        let sent = self
+            .upload(header, bytes.into(), leased, &mut attempts)
+            .await;
         steps.uploaded(begun, length, attempts, sent.is_err());
         sent
     }
 
-    /// Helps the leader of a tile until its crew ends or `held` is cancelled.
+    /// Helps the leader of a tile until its crew ends or `leased` is cancelled.
     ///
     /// # Errors
-    /// The reason, when this worker is of no help.
+    /// The reason, if this worker cannot help.
     pub async fn help(
         self: &Arc<Self>,
         help: v1::Help,
-        held: Arc<LeasedTile>,
+        leased: Arc<LeasedTile>,
     ) -> Result<(), String> {
-        let steps = Steps::of(&self.config, held.lease, &help.trace);
-        let (begun, profile) = (Begun::now(), help.profile.clone());
-        let result = self.help_leader(help, &held, &steps).await;
+        let steps = Steps::new(&self.config, leased.lease, &help.trace);
+        let (begun, profile) = (SpanTime::now(), help.profile.clone());
+        let result = self.help_leader(help, &leased, &steps).await;
         let end = if result.is_ok() { "done" } else { "failed" };
-        steps.ended("help", begun, &profile, held.progress().samples, end);
+        steps.ended("help", begun, &profile, leased.progress().samples, end);
         result
     }
 
     async fn help_leader(
         self: &Arc<Self>,
         help: v1::Help,
-        held: &Arc<LeasedTile>,
+        leased: &Arc<LeasedTile>,
         steps: &Steps,
     ) -> Result<(), String> {
-        let begun = Begun::now();
+        let begun = SpanTime::now();
         let job = self.planned.job(help.spec)?;
         let loaded = self.scene(job.spec().scene).await?;
         steps.step("fetch", begun);
         let _turn = self.running.acquire().await.map_err(|e| e.to_string())?;
-        if held.cancelled() {
+        if leased.cancelled() {
             return Ok(());
         }
-        let helper = crew::help(self.client.clone(), held.lease, held).await?;
+        let helper = crew::help(self.client.clone(), leased.lease, leased).await?;
         tracing::info!(
             "worker {} helps with tile {} of job {}",
             self.config.name,
-            held.lease.tile,
-            held.lease.job
+            leased.lease.tile,
+            leased.lease.job
         );
-        let (shop, held, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
+        let (runner, leased, computing) = (Arc::clone(self), Arc::clone(leased), steps.clone());
         let ended = tokio::task::spawn_blocking(move || {
             computing.computing(&*helper, true, |crew| {
-                let work = Work {
+                let tile_inputs = TileInputs {
                     job: &job,
                     profile: &help.profile,
                     receivers: None,
                     deadline: None,
                     crew,
                 };
-                shop.run(&work, &loaded, Vec::new(), &held)
+                runner.run(&tile_inputs, &loaded, Vec::new(), &leased)
             })
         });
-        match ended.await.map_err(|e| format!("helping panicked: {e}"))? {
-            // A helper has no output: it stops when the last phase is over.
+        match ended
+            .await
+            .map_err(|e| format!("the computation for another worker's tile panicked: {e}"))?
+        {
+            // A helper has no output: it stops after the last phase.
             Ok(_) | Err(Failure::Cancelled) => Ok(()),
             Err(Failure::Infrastructure(reason) | Failure::Tile(reason)) => Err(reason),
         }
     }
 
-    /// Computes the tile on the current thread; returns the output's bytes and the number of samples.
+    /// Computes the tile on the current thread. Returns the output's bytes and the number of samples.
     fn run(
         &self,
-        work: &Work<'_>,
+        tile_inputs: &TileInputs<'_>,
         loaded: &TracedScene,
         packs: Vec<Fetched>,
-        held: &LeasedTile,
+        leased: &LeasedTile,
     ) -> Result<(Vec<u8>, u64), Failure> {
-        let Work {
+        let TileInputs {
             job,
             profile,
             receivers,
             deadline,
             crew,
-        } = *work;
+        } = *tile_inputs;
         let control = Control {
-            watcher: held,
+            watcher: leased,
             deadline,
             crew,
         };
         let owner = self.config.name.as_str();
-        if profile.starts_with("cpu/") {
-            // The device that was opened to see whether it works is not wanted.
+        if !TracerChoice::Gpu.accepts(profile) {
+            // The device that was opened for the probe is not needed.
             gpu::close_spare();
         }
         let sampling = job.visibility().and_then(Visibility::sampling);
         let tracer = sampling.map(|sampling| {
-            let spec = CubeSpec::of(&sampling.sampler);
+            let spec = CubeSpec::from_sampler(&sampling.sampler);
             loaded
                 .backend(&self.config.backends, profile, spec, owner)
                 .map_err(|e| Failure::Infrastructure(e.to_string()))
@@ -287,7 +297,7 @@ impl TileRunner {
             receivers,
         };
         // A lost device stays lost; the next tile opens the backend again.
-        let done = sightline_bake::run(job, held.lease.tile, inputs, control)
+        let done = sightline_bake::run(job, TileIndex(leased.lease.tile), inputs, control)
             .map_err(|e| failure(e, || loaded.forget(profile)))?;
         for (digest, bytes) in done.recomputed {
             self.packs.put(digest, bytes.into());
@@ -313,9 +323,11 @@ impl TileRunner {
     }
 }
 
-/// Times the backends of this machine on a job's scene: the seconds that each takes for a cube, or for as
-/// many lines. It skips backends that do not suit the scene, and all of them for a job without a tracer.
-/// Each `owner` has a software gpu for itself.
+/// Times the backends of this machine on a job's scene. Returns each profile with its seconds per cube.
+///
+/// If the job samples lines, the time is for as many lines as a cube has. Backends that cannot be used for
+/// the scene are skipped. For a job without a tracer, all backends are skipped. Each `owner` has a separate
+/// software gpu.
 pub fn time_profiles(
     backends: &Backends,
     loaded: &TracedScene,
@@ -326,7 +338,7 @@ pub fn time_profiles(
     let Some((task, sampling)) = task.and_then(|task| Some((task, task.sampling()?))) else {
         return Vec::new();
     };
-    // The boxes of a tree have few points of the lattice.
+    // The boxes of a tree contain few points of the lattice.
     let whole = match task.division() {
         Division::Tree(_) => GridCells::new(task.view_box(), [1; 3]).ok(),
         Division::Grid(_) | Division::Adaptive { .. } => None,
@@ -338,11 +350,16 @@ pub fn time_profiles(
     let mut times = Vec::new();
     for profile in backends.profiles() {
         let timed = loaded
-            .backend(backends, &profile, CubeSpec::of(&sampling.sampler), owner)
+            .backend(
+                backends,
+                &profile,
+                CubeSpec::from_sampler(&sampling.sampler),
+                owner,
+            )
             .map_err(TileError::from)
             .and_then(|b| match sampling.sampler {
                 Sampler::Cubes { .. } => Ok(auto::time(&*b, lattice)?),
-                // A region of viewpoints keeps a device from casting whole rounds.
+                // A region of viewpoints prevents a device from casting whole rounds.
                 Sampler::Lines { .. } if !has_region => {
                     auto::time_rounds(&*b, loaded.scene.sampling(), lattice)
                 }
@@ -359,5 +376,5 @@ pub fn time_profiles(
     times
 }
 
-/// A pack, or the digest of a lost pack that has to be computed again.
+/// A pack, or the digest of a lost pack that must be computed again.
 type Fetched = Result<bytes::Bytes, [u8; 32]>;

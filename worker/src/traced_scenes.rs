@@ -1,28 +1,30 @@
-//! Cache of the scenes of a worker: each is fetched once and analysed once, and keeps its backends.
+//! A cache of a worker's scenes. Each scene is fetched and analysed once, and is stored with its open
+//! backends.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_bake::BakeScene;
+use sightline_model::TracerChoice;
 use sightline_scene::{Scene, SceneError};
 use sightline_trace::sight::SightLineTracer;
-use sightline_trace::{Backend, CubeSpec, Strata};
+use sightline_trace::{CubeSpec, Strata, Tracer};
 
 use crate::backends::Backends;
 use crate::shared_cache::SharedCache;
 
-/// A scene with the backends opened for it.
+/// A scene with the backends that are open for it.
 pub struct TracedScene {
     /// The scene, prepared for tiles.
     pub scene: BakeScene,
-    backends: Mutex<BTreeMap<String, Arc<dyn Backend>>>,
+    backends: Mutex<BTreeMap<String, Arc<dyn Tracer>>>,
 }
 
 impl TracedScene {
     /// Prepares a scene for tiles.
     ///
     /// # Errors
-    /// [`SceneError`] when it has too many triangles to sample.
+    /// A [`SceneError`] if the scene has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
         Ok(Self {
             scene: BakeScene::new(scene)?,
@@ -33,20 +35,23 @@ impl TracedScene {
     /// Decodes a scene, and prepares it for tiles.
     ///
     /// # Errors
-    /// A message when the bytes are not a scene, or the scene has too many triangles to sample.
+    /// A message if the bytes are not a scene, or if the scene has too many triangles to sample.
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, String> {
-        let scene = Scene::from_blob("scene that was fetched", bytes).map_err(|e| e.to_string())?;
+        let scene = Scene::from_blob("fetched scene", bytes).map_err(|e| e.to_string())?;
         Self::new(Arc::new(scene)).map_err(|e| e.to_string())
     }
 
-    /// Builds the hierarchy for sight lines on the cpu backend, if this machine has one, so that the first
-    /// tile does not wait for it. Errors are ignored here: the tile that needs the hierarchy tries again and
-    /// reports them.
+    /// Builds the hierarchy for sight lines on the cpu backend, or on Embree if it is requested, before the
+    /// first tile needs it.
+    ///
+    /// Does nothing if neither is requested. Ignores errors: the tile that needs the hierarchy
+    /// builds it again and reports errors.
     pub fn warm(&self, backends: &Backends, spec: CubeSpec) {
-        let cpu = backends
-            .profiles()
-            .into_iter()
-            .find(|p| p.starts_with("cpu/"));
+        let cpu = backends.profiles().into_iter().find(|p| {
+            [TracerChoice::Cpu, TracerChoice::Embree]
+                .iter()
+                .any(|c| c.accepts(p))
+        });
         let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok())
         else {
             return;
@@ -55,13 +60,14 @@ impl TracedScene {
         std::thread::scope(|scope| {
             scope.spawn(|| self.scene.sampling().for_lines());
             if let Err(e) = SightLineTracer::new(&*backend, traced) {
-                tracing::debug!("not made ready: {e}");
+                tracing::debug!("the hierarchy was not built in advance: {e}");
             }
         });
     }
 
-    /// The backend with `profile` for the cubes of `spec`, opened at first use. Each `owner` has a software
-    /// gpu for itself, because such a device uses only one core.
+    /// Returns the backend with `profile` for the cubes of `spec`, and opens it at its first use.
+    ///
+    /// Each `owner` has a separate software gpu, because such a device uses only one core.
     ///
     /// # Errors
     /// The error of the backend.
@@ -71,7 +77,7 @@ impl TracedScene {
         profile: &str,
         spec: CubeSpec,
         owner: &str,
-    ) -> Result<Arc<dyn Backend>, sightline_trace::BackendError> {
+    ) -> Result<Arc<dyn Tracer>, sightline_trace::TracerError> {
         let strata = match spec.strata {
             Strata::One => 1,
             Strata::Faces => 6,
@@ -104,5 +110,5 @@ impl TracedScene {
     }
 }
 
-/// The scenes of one process, by digest.
+/// A cache of the scenes of one process, by digest.
 pub type SceneCache = SharedCache<[u8; 32], TracedScene>;

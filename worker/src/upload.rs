@@ -1,5 +1,5 @@
-//! A tile's output on its way to the coordinator: a large one is written to the store of the blobs where the
-//! coordinator gives an address, and named; others go in chunks.
+//! The upload of a tile's output. A large output is written directly to the blob store if the coordinator
+//! gives an address; other outputs are sent in chunks.
 
 use std::time::{Duration, Instant};
 
@@ -9,43 +9,43 @@ use sightline_proto::chunks::{count, piece};
 use sightline_proto::v1;
 use tonic::Code;
 
-use crate::counters::{Direction, Way};
-use crate::direct::{self, Miss};
+use crate::counters::{BlobRoute, Direction};
+use crate::direct::{self, TransferError};
 use crate::leased_tile::LeasedTile;
 use crate::status::describe;
 use crate::tile_runner::{Failure, TileRunner};
 
-/// The waits after the first failure of an upload and after late ones; they double in between. An output is
-/// offered again for as long as its lease lives, whatever the disk or the network does.
+/// The minimum and the maximum wait after a failed upload. The wait doubles after each failure. The worker
+/// offers an output for as long as the lease is valid, after any fault of the disk or the network.
 const UPLOAD_WAIT: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(10)];
-/// How often a wait looks whether the lease still lives.
+/// The interval at which a wait checks that the lease is still valid.
 const LOOK: Duration = Duration::from_millis(250);
-/// Smaller outputs are sent in chunks: writing them to the store takes four requests there. A tile of the
-/// usual size has half a megabyte.
+/// Minimum size of an output that is written to the blob store, in bytes. Smaller outputs are sent in chunks,
+/// because writing to the store requires four requests. A tile of the usual size has 0.5 MB.
 const LEAST_STAGED: usize = 256 << 10;
-/// How often an output is written to the store before it is sent.
+/// Maximum number of attempts to write an output to the blob store before it is sent in chunks.
 const TRIES: u32 = 2;
 
 impl TileRunner {
-    /// Commits an output. `attempts` counts the calls that it takes.
+    /// Commits an output. Increments `attempts` for each call of PutResult.
     pub async fn upload(
         &self,
         mut header: v1::ResultHeader,
         bytes: Bytes,
-        held: &LeasedTile,
+        leased: &LeasedTile,
         attempts: &mut u32,
     ) -> Result<(), Failure> {
-        let mut way = Way::Coordinator;
-        match self.stage(&header, &bytes, held).await {
-            Ok(Some(sha256)) => (way, header.staged) = (Way::Direct, sha256),
+        let mut route = BlobRoute::Coordinator;
+        match self.stage(&header, &bytes, leased).await {
+            Ok(Some(sha256)) => (route, header.staged) = (BlobRoute::Direct, sha256),
             Ok(None) => {}
-            Err(Miss::Cancelled) => return Err(Failure::Cancelled),
-            // It was said there.
-            Err(_) => (way, header.fell_back) = (Way::Fallback, true),
+            Err(TransferError::Cancelled) => return Err(Failure::Cancelled),
+            // `stage` has logged the reason.
+            Err(_) => (route, header.fell_back) = (BlobRoute::Fallback, true),
         }
         let mut wait = UPLOAD_WAIT[0];
         loop {
-            if held.cancelled() {
+            if leased.cancelled() {
                 return Err(Failure::Cancelled);
             }
             *attempts += 1;
@@ -65,53 +65,55 @@ impl TileRunner {
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
             match self.client.clone().put_result(parts).await {
                 Ok(_) => {
-                    self.config.counters.moved(Direction::Out, way, bytes.len());
+                    self.config
+                        .counters
+                        .transferred(Direction::Out, route, bytes.len());
                     return Ok(());
                 }
                 Err(s) => match s.code() {
                     Code::Aborted | Code::InvalidArgument | Code::OutOfRange => {
                         return Err(Failure::Tile(describe(&s)));
                     }
-                    // The job was deleted or has ended, so the tile is not needed any more.
+                    // The job was deleted or has ended, so the tile is no longer needed.
                     Code::NotFound | Code::FailedPrecondition => {
                         return Err(Failure::Cancelled);
                     }
                     Code::DataLoss if !header.staged.is_empty() => {
                         tracing::warn!(
                             "the output of tile {} goes through the coordinator: {}",
-                            held.lease.tile,
+                            leased.lease.tile,
                             describe(&s)
                         );
                         header.staged.clear();
-                        (way, header.fell_back) = (Way::Fallback, true);
+                        (route, header.fell_back) = (BlobRoute::Fallback, true);
                         continue;
                     }
                     _ => tracing::warn!(
-                        "the output of tile {} is offered again in {wait:?}: {}",
-                        held.lease.tile,
+                        "the output of tile {} is sent again in {wait:?}: {}",
+                        leased.lease.tile,
                         describe(&s)
                     ),
                 },
             }
-            // It is counted once.
+            // The fallback is counted once.
             header.fell_back = false;
-            // Not the same time on every worker, so that they do not all come back together.
-            let end = Instant::now() + wait.mul_f64(jitter(held.lease.lease, wait));
-            while Instant::now() < end && !held.cancelled() {
+            // The wait differs between workers, so that they do not all retry at once.
+            let end = Instant::now() + wait.mul_f64(jitter(leased.lease.lease, wait));
+            while Instant::now() < end && !leased.cancelled() {
                 tokio::time::sleep(LOOK.min(end.saturating_duration_since(Instant::now()))).await;
             }
             wait = (wait * 2).min(UPLOAD_WAIT[1]);
         }
     }
 
-    /// Writes an output to the store of the blobs; gives its SHA-256, by which it is committed. `None` where
-    /// it goes in chunks.
+    /// Writes an output to the blob store, and returns the SHA-256 by which it is committed. Returns `None`
+    /// if the output must be sent in chunks.
     async fn stage(
         &self,
         header: &v1::ResultHeader,
         bytes: &Bytes,
-        held: &LeasedTile,
-    ) -> Result<Option<Vec<u8>>, Miss> {
+        leased: &LeasedTile,
+    ) -> Result<Option<Vec<u8>>, TransferError> {
         let Some(client) = self.direct.client().filter(|_| bytes.len() >= LEAST_STAGED) else {
             return Ok(None);
         };
@@ -134,8 +136,8 @@ impl TileRunner {
                 Ok(answer) => answer.into_inner().address,
                 Err(s) => {
                     tracing::warn!(
-                        "the output of tile {} is sent: {}",
-                        held.lease.tile,
+                        "the output of tile {} is sent in chunks: {}",
+                        leased.lease.tile,
                         describe(&s)
                     );
                     None
@@ -146,34 +148,34 @@ impl TileRunner {
             return Ok(None);
         };
         let mut tries = 1;
-        let miss = loop {
-            match direct::upload(&client, &address, bytes.clone(), held).await {
+        let error = loop {
+            match direct::upload(&client, &address, bytes.clone(), leased).await {
                 Ok(()) => return Ok(Some(sha256)),
-                Err(Miss::Broken(reason)) if tries < TRIES => {
+                Err(TransferError::Broken(reason)) if tries < TRIES => {
                     tracing::info!(
                         "the output of tile {} is written again: {reason}",
-                        held.lease.tile
+                        leased.lease.tile
                     );
                     tries += 1;
-                    // The first one may not be accepted any more.
+                    // The first address may have expired.
                     let Some(another) = ask().await else {
                         return Ok(None);
                     };
                     address = another;
                 }
-                Err(miss) => break miss,
+                Err(error) => break error,
             }
         };
         self.fall_back(
-            &miss,
-            &format!("the output of tile {}", held.lease.tile),
+            &error,
+            &format!("the output of tile {}", leased.lease.tile),
             &address,
         );
-        Err(miss)
+        Err(error)
     }
 }
 
-/// A factor between 0.75 and 1.25 that differs from lease to lease and from wait to wait.
+/// Returns a factor between 0.75 and 1.25 that differs between leases and between waits.
 fn jitter(lease: u64, wait: Duration) -> f64 {
     let names = [lease.to_le_bytes(), (wait.as_millis() as u64).to_le_bytes()].concat();
     let [byte, ..] = *blake3::hash(&names).as_bytes();

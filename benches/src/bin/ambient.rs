@@ -1,10 +1,11 @@
-//! Times exact ambient occlusion against rays: `ambient SCENE [--distances 1,2,inf] [--points N]` prints
-//! tables.
+//! Times exact ambient occlusion against rays: `ambient SCENE [--distances 1,2,inf] [--squares N]`
+//! prints tables.
 //!
-//! Points are texels of a lightmap: squares of 8 × 8 on triangles drawn by area, a sixteenth of the distance
-//! apart but at most a 400th of the diagonal, without those that fall off the triangle. Rays are jittered, 16
-//! to a packet of Embree, and stop at the first hit; no time is for reading files. A point is right if it is
-//! within half a step of 8 bits of the exact openness. All times are of the same process and cores.
+//! The points are texels of a lightmap: squares of 8 × 8 on triangles that are drawn by area. The texels are
+//! a sixteenth of the distance apart, but at most a 400th of the diagonal; texels outside the triangle are
+//! skipped. Rays are jittered, 16 to a packet of Embree, and stop at the first hit. The times do not include
+//! reading files. A point is right if its openness differs from the exact openness by at most half a step of
+//! 8 bits (0.5/255). All times are from the same process and cores.
 
 #![allow(clippy::print_stdout, reason = "a measurement")]
 
@@ -13,9 +14,9 @@ use std::time::Instant;
 
 use clap::Parser;
 use rayon::prelude::*;
-use sightline_ambient::{Falloff, Prepared, Receiver, Settings, Solver};
+use sightline_ambient::{AmbientScene, Falloff, Receiver, Solver, SolverSettings};
 use sightline_numbers::random::SplitMix64;
-use sightline_scene::{Scene, load};
+use sightline_scene::{Scene, TriangleId, load};
 use sightline_trace::embree::Occlusion;
 use sightline_trace::packet::{LANES, Packet};
 
@@ -24,19 +25,19 @@ use sightline_trace::packet::{LANES, Packet};
 struct Args {
     /// The scene.
     scene: PathBuf,
-    /// Distances in units of the scene; inf for all of it.
+    /// Distances in units of the scene, or inf.
     #[arg(long, value_delimiter = ',', default_values_t = [f64::INFINITY])]
     distances: Vec<f64>,
-    /// Squares of points.
+    /// Number of squares of 8 × 8 texels, each around a random point of the surface.
     #[arg(long, default_value_t = 100)]
     squares: u32,
-    /// Rays a point.
+    /// Numbers of rays per point.
     #[arg(long, value_delimiter = ',', default_values_t = [256, 1024, 4096, 8192, 16_384, 65_536])]
     rays: Vec<u32>,
-    /// Most points that are traced with each number of rays.
+    /// Maximum number of points that are traced with each number of rays.
     #[arg(long, default_value_t = 1000)]
     traced: usize,
-    /// Also solve each point alone, and with falloff.
+    /// Also solve the points one by one, and with falloff.
     #[arg(long)]
     variants: bool,
 }
@@ -52,7 +53,7 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
     let areas: Vec<f64> = (0..scene.triangles().len())
         .map(|id| {
             let [a, b, c] = corners(id);
-            sum += if scene.blocks(id as u32) {
+            sum += if scene.blocks(TriangleId(id as u32)) {
                 (b - a).cross(c - a).length()
             } else {
                 0.0
@@ -77,7 +78,7 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
                 all.push(Receiver {
                     point,
                     normal,
-                    triangle: Some(id as u32),
+                    triangle: Some(TriangleId(id as u32)),
                 });
             }
         }
@@ -85,17 +86,18 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
     all
 }
 
-/// The openness of a point by jittered rays.
+/// Computes the openness of a point with jittered rays.
 fn by_rays(
     tracer: &Occlusion,
     r: &Receiver,
     rays: u32,
-    (near, distance): (f64, f64),
+    near: f64,
+    distance: f64,
     seed: u64,
 ) -> f64 {
     let mut random = SplitMix64::new(seed);
     let (u, v) = r.normal.any_orthonormal_pair();
-    // Of whole packets of 4 × 4.
+    // The rays form whole packets of 4 × 4.
     let side = (f64::from(rays).sqrt() / 4.0).round() as u32 * 4;
     let origin = (r.point + r.normal * near).as_vec3().to_array();
     let (mut free, mut packet) = (0usize, Packet::default());
@@ -104,7 +106,7 @@ fn by_rays(
         free += hidden[..packet.count].iter().filter(|h| !**h).count();
         packet.count = 0;
     };
-    // Packets are 4 × 4 neighbours.
+    // Each packet has 4 × 4 neighbours.
     for block in 0..(side / 4) * (side / 4) {
         for k in 0..16 {
             let (i, j) = (
@@ -147,9 +149,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let receivers = points(&scene, args.squares, texel);
         let per_point = |seconds: f64, n: usize| seconds * 1e6 * threads / n as f64;
         let begun = Instant::now();
-        let prepared_scene = Prepared::new(&scene, false)?;
+        let prepared_scene = AmbientScene::new(&scene, false)?;
         let prepared = begun.elapsed();
-        let solver = Solver::new(&prepared_scene, Settings::new(*distance));
+        let solver = Solver::new(&prepared_scene, SolverSettings::new(*distance));
         let begun = Instant::now();
         let answers = solver.solve(&receivers, |_| {});
         let exact = per_point(begun.elapsed().as_secs_f64(), receivers.len());
@@ -167,15 +169,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             built.as_secs_f64()
         );
         if args.variants {
-            let mut alone = Settings::new(*distance);
+            let mut alone = SolverSettings::new(*distance);
             alone.block.0 = 1;
             let mut variants = vec![("each point alone", alone)];
             if distance.is_finite() {
                 variants.push((
                     "falloff",
-                    Settings {
+                    SolverSettings {
                         falloff: Falloff::Sqrt,
-                        ..Settings::new(*distance)
+                        ..SolverSettings::new(*distance)
                     },
                 ));
             }
@@ -202,9 +204,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let traced: Vec<f64> = some
                 .par_iter()
                 .enumerate()
-                .map(|(i, (r, _))| {
-                    by_rays(&tracer, r, *rays, (diagonal * 1e-6, *distance), i as u64)
-                })
+                .map(|(i, (r, _))| by_rays(&tracer, r, *rays, diagonal * 1e-6, *distance, i as u64))
                 .collect();
             let took = per_point(begun.elapsed().as_secs_f64(), some.len());
             let off: Vec<f64> = some

@@ -1,10 +1,12 @@
-//! What exact sets from points cost: `look SCENE… [--points N] [--seed S] [--check] [--skip-cells]`.
+//! Measures the cost of exact sets from points:
+//! `look SCENE… [--points N] [--seed S] [--check] [--skip-cells]`.
 //!
-//! For each scene: how long its cells take to build; then from random points of its box that are in no closed
-//! solid, by both engines and in all modes, the time, the cells and the beams of a point, beside six item
-//! buffers of 512² by Embree from the same points, after all sets were compared: both engines alike,
-//! aggressive within exact within conservative; and a box's visible share beside rays to it. One thread does
-//! everything but build. Times are means; ratios are those of whole runs. A table in Markdown.
+//! For each scene, the program measures the time to build the cells. From random points of the scene's box
+//! outside closed solids, it measures the time, the cells and the beams per point, with both engines and in
+//! all modes. For comparison, the program renders six item buffers of 512² pixels with Embree from the same
+//! points. The program also compares all sets: both engines must agree, and aggressive ⊆ exact ⊆ conservative
+//! must hold. Finally, the program compares a box's visible share with rays to the box. One thread does all
+//! work except the build. Times are means; ratios are ratios of whole runs. The output is a Markdown table.
 
 #![allow(clippy::print_stdout, reason = "a program for people at a terminal")]
 
@@ -15,13 +17,13 @@ use std::time::Instant;
 use clap::Parser;
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, build};
-use sightline_trace::embree::CpuBackend;
-use sightline_trace::packet::{LANES, Packet};
-use sightline_trace::{Backend as _, CubeSpec, LineSet, Strata};
+use sightline_trace::embree::EmbreeBackend;
+use sightline_trace::packet::{Halves, LANES, Packet};
+use sightline_trace::{CubeSpec, LineSet, Strata, Tracer as _};
 
 type AnyError = Box<dyn std::error::Error + Send + Sync>;
 
@@ -30,19 +32,19 @@ struct Args {
     /// Scenes: .obj, .ply, .gltf or .glb.
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
-    /// Points of each scene.
+    /// Number of points per scene.
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..))]
     points: u32,
     /// Seed of the points.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// The angle of the modes that have one, in degrees.
+    /// The angle of the modes aggressive and conservative, in degrees.
     #[arg(long, default_value_t = 0.2)]
     angle: f64,
-    /// Check the cells as `sightline tetra --check` does, and say how long it takes.
+    /// Check the cells as `sightline tetra --check` does, and print the duration.
     #[arg(long)]
     check: bool,
-    /// Leave out the engine that goes through cells.
+    /// Skip the engine that traverses cells.
     #[arg(long)]
     skip_cells: bool,
 }
@@ -90,7 +92,7 @@ fn main() -> Result<(), AnyError> {
     Ok(())
 }
 
-/// Random points of the scene's box that are in no closed solid.
+/// Draws random points of the scene's box that are in no closed solid.
 fn points(args: &Args, scene: &Scene, tets: &Tets) -> Result<Vec<Vec3>, AnyError> {
     let (mut stream, mut scratch, mut out) =
         (SplitMix64::new(args.seed), Scratch::default(), Vec::new());
@@ -99,7 +101,11 @@ fn points(args: &Args, scene: &Scene, tets: &Tets) -> Result<Vec<Vec3>, AnyError
     while out.len() < args.points as usize {
         tries += 1;
         if tries > 1000 * u64::from(args.points) {
-            return Err("hardly any point of the scene's box is outside of its solids".into());
+            return Err(
+                "fewer than one in 1000 points of the scene's box is outside of closed solids; \
+             choose another scene"
+                    .into(),
+            );
         }
         let part = Vec3::new(stream.unit_f32(), stream.unit_f32(), stream.unit_f32());
         let x = bounds.min + (bounds.max - bounds.min) * part;
@@ -117,9 +123,9 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
         strata: Strata::One,
         keep_pixels: false,
     };
-    let embree = CpuBackend::new(scene.clone(), spec)?;
+    let embree = EmbreeBackend::new(scene.clone(), spec)?;
     let renderer = embree.prepare(None)?;
-    // The first one of a kind takes memory.
+    // The first image allocates memory, so it is not timed.
     renderer.image(points[0])?;
     let start = Instant::now();
     let mut drawn = 0usize;
@@ -152,7 +158,7 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
         ),
     ];
     let mut scratch = Scratch::default();
-    // The exact sets by boxes, which the others are compared with.
+    // The other sets are compared with the exact sets by boxes.
     let mut exact: Vec<Vec<u32>> = Vec::new();
     for (name, mode) in &modes {
         for (by, engine) in [("bvh", Engine::Boxes), ("tetra", Engine::Cells)] {
@@ -187,9 +193,11 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
                     Mode::Conservative(_) => within(exact, set),
                 };
                 if !holds {
-                    return Err(
-                        format!("{name} by {by} from {x}: not as the exact set by boxes").into(),
-                    );
+                    return Err(format!(
+                        "{name} with the engine {by} from {x}: the set contradicts the exact set \
+                         of the engine bvh"
+                    )
+                    .into());
                 }
             }
             let per_point = |sum: f64| sum / points.len() as f64;
@@ -208,16 +216,18 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
     targets(args, scene, tets, &points, &embree)
 }
 
-/// Boxes with a hundredth of the scene's greatest side, seen from the points: shares of their pictures, and
-/// rays to random places in them.
+/// Measures the visibility of boxes from the points. The side of a box is a hundredth of the scene's largest
+/// side. Compares the visible shares of the boxes with rays to random points in the boxes.
 fn targets(
     args: &Args,
     scene: &Scene,
     tets: &Tets,
     points: &[Vec3],
-    embree: &CpuBackend,
+    embree: &EmbreeBackend,
 ) -> Result<(), AnyError> {
-    let ids: Vec<u32> = (0..scene.len()).filter(|id| scene.blocks(*id)).collect();
+    let ids: Vec<u32> = (0..scene.len())
+        .filter(|id| scene.blocks(TriangleId(*id)))
+        .collect();
     let tracer = embree.lines(LineSet::Blocking, &ids)?;
     let (bounds, mut stream) = (scene.bounds(), SplitMix64::new(args.seed + 1));
     let extent = bounds.max - bounds.min;
@@ -267,7 +277,7 @@ fn targets(
                     .for_each(|end| packet.push(x.to_array(), (*end - *x).to_array()));
                 packet.distance = [1.0; LANES];
             }
-            tracer.trace_within(&mut packets, false)?;
+            tracer.trace(&mut packets, Halves::Rays, false)?;
             let free = packets
                 .iter()
                 .flat_map(|p| p.distance)

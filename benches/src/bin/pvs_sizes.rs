@@ -1,7 +1,7 @@
 //! Compares the size of a result's visible sets with other encodings: `pvs_sizes RESULT.pvs`.
 //!
 //! Prints bytes per cell. The rows marked "ours" use the set code of the `.pvs` file. "cells apart": each set
-//! by itself, without the hierarchy. "thesis averages": the hierarchy of Nirenstein 2003, appendix B.1; a
+//! separately, without the hierarchy. "thesis averages": the hierarchy of Nirenstein 2003, appendix B.1; a
 //! group spans three levels of the tree, and its parent keeps an id that more than half of the children have.
 //! "neighbour difference": the difference from the set of the previous cell, which a reader must decode
 //! first.
@@ -12,7 +12,7 @@ use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
 
 type AnyError = Box<dyn std::error::Error>;
 
-/// Bytes of one set by itself in the code of the `.pvs` file.
+/// Returns the size of a single set in the code of the `.pvs` file, in bytes.
 fn coded(triangles: u32, ids: &[u32]) -> Result<u64, AnyError> {
     let mut builder = Builder::new(Header {
         triangles,
@@ -49,7 +49,7 @@ fn xor(a: &[u32], b: &[u32]) -> Vec<u32> {
         .collect()
 }
 
-/// Ids that are in more than half of the sets.
+/// Returns the ids that are in more than half of the sets.
 fn majority(sets: &[Vec<u32>]) -> Vec<u32> {
     let mut all: Vec<u32> = sets.iter().flatten().copied().collect();
     all.sort_unstable();
@@ -59,7 +59,7 @@ fn majority(sets: &[Vec<u32>]) -> Vec<u32> {
         .collect()
 }
 
-/// The first node after the subtree at `node`.
+/// Returns the index of the first node after the subtree at `node`.
 fn after(nodes: &[Node], node: usize) -> usize {
     match nodes[node] {
         Node::Leaf => node + 1,
@@ -67,7 +67,7 @@ fn after(nodes: &[Node], node: usize) -> usize {
     }
 }
 
-/// Codes the subtree of `node` as in Nirenstein 2003, appendix B.1. Returns the average set of the subtree
+/// Codes the subtree of `node` as in Nirenstein 2003, appendix B.1. Returns the average set of the subtree,
 /// and adds the bytes of all sets below it to `bytes`.
 fn thesis(pvs: &Pvs, node: usize, cell: &mut u32, bytes: &mut u64) -> Result<Vec<u32>, AnyError> {
     let nodes = pvs.tree().nodes();

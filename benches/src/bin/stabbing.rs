@@ -1,22 +1,22 @@
 //! Times the search for a line through a sequence of polygons: `stabbing` prints a table.
 //!
-//! Doors are axial rectangles around points of a line, across axes drawn at random; in half of the sequences
-//! one door is moved aside. Tilted sequences have five polygons with 23 edges, as figure 7.3 of Teller 1992.
+//! Doors are axial rectangles around points of a line, across axes drawn at random. In half of the sequences
+//! one door is displaced. Tilted sequences have five polygons with 23 edges, as in figure 7.3 of Teller 1992.
 
 #![allow(clippy::print_stdout, reason = "a measurement")]
 
 use std::time::Instant;
 
 use dashu_int::IBig;
-use sightline_exact::{Limits, Polygon, Source, Stabbed, stab};
+use sightline_exact::{PointOrigin, Polygon, QueryLimits, Stabbed, stab};
 use sightline_numbers::random::SplitMix64;
 
-/// Sequences of each kind.
+/// The number of sequences of each kind.
 const EACH: usize = 40;
-/// Coordinates are multiples of one over this.
+/// The denominator of coordinates, which are multiples of its reciprocal.
 const UNIT: i64 = 1 << 10;
 
-/// Convex polygons about the origin, some ten units wide.
+/// Convex polygons about the origin, about ten units wide.
 const FIVE: [[i64; 2]; 5] = [[0, 10], [-10, 3], [-6, -8], [6, -8], [10, 3]];
 const FOUR: [[i64; 2]; 4] = [[9, 2], [-2, 9], [-9, -2], [2, -9]];
 
@@ -46,13 +46,13 @@ fn main() {
     );
 }
 
-/// Prints a line of the table.
+/// Times the sequences and prints a line of the table.
 fn time(name: &str, sequences: Vec<Vec<Polygon>>) {
     let edges = sequences[0].iter().map(|p| p.points().len()).sum::<usize>();
     let (mut counts, mut took) = ([0; 3], Vec::new());
     for portals in &sequences {
         let start = Instant::now();
-        let (found, _) = stab(portals, &Limits::default(), &|| false);
+        let (found, _) = stab(portals, &QueryLimits::default(), &|| false);
         took.push(start.elapsed());
         counts[match found {
             Stabbed::Line(_) => 0,
@@ -72,11 +72,11 @@ fn between(random: &mut SplitMix64, least: i64, most: i64) -> i64 {
     least + (random.bits() % (most - least + 1) as u64) as i64
 }
 
-/// A polygon with corners in units.
+/// Creates a polygon from corners in units of `1 / UNIT`.
 fn polygon(corners: &[[i64; 3]]) -> Option<Polygon> {
     let exact = |c: &[i64; 3]| {
         let [x, y, z] = c.map(IBig::from);
-        Source::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
+        PointOrigin::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
     };
     Polygon::exact(corners.iter().map(exact).collect()).ok()
 }
@@ -118,7 +118,7 @@ fn tilted(random: &mut SplitMix64) -> Vec<Polygon> {
     let mut portals = Vec::new();
     while portals.len() < 5 {
         let n = if portals.len() % 2 == 0 { 5 } else { 4 };
-        // In the plane z = 3k + (a x + b y) / 16, with x and y multiples of 16.
+        // The plane is z = 3k + (a x + b y) / 16, with x and y multiples of 16.
         let (a, b) = (between(random, -4, 4), between(random, -4, 4));
         let (x, y, r) = (
             between(random, -40, 40),

@@ -1,10 +1,10 @@
 //! Writes a `.pvs` of a synthetic world, to measure file size and look-up time without a bake.
 //!
-//! `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32 blocks
-//! with two triangles for each face of a block: houses and streets, which have exposed faces only, or trees
-//! whose leaves are numbered in random order. A cell's set holds the triangles that random rays from the cell
-//! hit first. So neighbouring cells have similar sets, and the sets have the gaps of sampling. The program
-//! uses no code of the baker and says nothing about it.
+//! Usage: `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32
+//! blocks with two triangles for each face of a block. A city has houses and streets with only the exposed
+//! faces. A forest has trees whose leaves are numbered in random order. A cell's set contains the triangles
+//! that random rays from the cell hit first. So neighbouring cells have similar sets, and the sets have the
+//! gaps of sampling. The program does not use code of the baker, so its results do not describe the baker.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // A program for people at a terminal.
 
@@ -14,7 +14,7 @@ type AnyError = Box<dyn std::error::Error>;
 
 const SIZE: [usize; 3] = [256, 256, 32];
 
-/// SplitMix64 (Steele et al. 2014).
+/// A SplitMix64 random number generator (Steele et al. 2014).
 struct Random(u64);
 
 impl Random {
@@ -32,8 +32,8 @@ impl Random {
     }
 }
 
-/// A grid of blocks. `object` holds for each block its object's index, or 0 for an empty block; `first` holds
-/// the first of the two triangles of each face.
+/// A grid of blocks. For each block, `object` contains its object's index, or 0 if the block is empty, and
+/// `first` the first of the two triangles of each face.
 struct World {
     object: Vec<u32>,
     first: Vec<[u32; 6]>,
@@ -105,8 +105,8 @@ fn world(forest: bool, random: &mut Random) -> World {
                     q[axis].wrapping_sub(1)
                 };
                 let exposed = q[axis] >= SIZE[axis] || object[at(q)] == 0;
-                // In a forest the six faces of a block have consecutive ids; in a city the faces of one side
-                // of a house do.
+                // In a forest, the six faces of a block have consecutive ids. In a city, the faces of one
+                // side of a house have consecutive ids.
                 if exposed && !forest {
                     first[at(p)][face] = triangles;
                     triangles += 2;
@@ -135,8 +135,8 @@ fn world(forest: bool, random: &mut Random) -> World {
 }
 
 impl World {
-    /// The first triangle that the ray from `p` along `d` hits; walks from block to block (Amanatides and Woo
-    /// 1987).
+    /// Returns the first triangle that the ray from `p` along `d` hits. Traverses the blocks in order
+    /// (Amanatides and Woo 1987).
     fn trace(&self, p: [f32; 3], d: [f32; 3]) -> Option<u32> {
         let mut cell = p.map(|c| c as usize);
         if self.object[at(cell)] != 0 {

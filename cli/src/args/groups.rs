@@ -40,10 +40,10 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Program", &["completions", "man"]),
 ];
 
-/// Width of the column of names.
+/// The width of the column of names, in characters.
 const NAMES: usize = 13;
 
-/// Returns the command line whose help lists the commands by their headings.
+/// Returns the command line, with a help that lists the commands under their headings.
 pub fn command() -> clap::Command {
     let command = Cli::command();
     let mut list = String::new();
@@ -60,7 +60,7 @@ pub fn command() -> clap::Command {
         }
         list.push('\n');
     }
-    // Braces would be tags of the template.
+    // The template would interpret braces as tags.
     let list = list.replace(['{', '}'], "");
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}Options:\n{{options}}\n\n{{after-help}}"

@@ -1,63 +1,64 @@
-//! The flags that decide what blocks and what shows: rules in the order in which they are given, and the
-//! culling of back faces.
+//! The flags that set the kinds of triangles and the culling of back faces. The order of the rules is the
+//! order of the flags.
 
 use std::ffi::OsString;
 use std::path::Path;
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use sightline::LoadOptions;
-use sightline_scene::kinds::{Kind, Rule};
+use sightline_scene::kinds::{KindRule, SurfaceKind};
 
-/// The names of the flags below.
+/// The name of the flag that reads alpha textures, without dashes.
 const ALPHA: &str = "alpha-textures";
 const CULL: &str = "cull-back-faces";
 
-/// The flags about kinds and sides.
+/// The flags about kinds and sides of triangles.
 #[derive(Clone, Debug, Default)]
 pub struct KindArgs {
-    /// The options of reading a scene.
+    /// The options for reading a scene.
     pub options: LoadOptions,
 }
 
 /// The heading of these flags in `--help`.
-const HEADING: &str = "What blocks and what shows";
+const HEADING: &str = "Kinds of surfaces";
 
-const FLAGS: [(Kind, &str); 5] = [
+const FLAGS: [(SurfaceKind, &str); 5] = [
     (
-        Kind::SeeThrough,
-        "Objects and materials whose name matches are see-through: a sight line passes them and shows them. \
-         Goes before the file, which makes materials with transmission or with alphaMode MASK or BLEND \
-         see-through (OBJ: d, Tr, map_d, illum). Of several flags about a name the last counts. * stands for \
-         any text",
+        SurfaceKind::SeeThrough,
+        "Objects and materials whose name matches are see-through: a sight line passes through them, and \
+         they are visible. By default, materials with transmission or with alphaMode MASK or BLEND (OBJ: d, \
+         Tr, map_d, illum) are see-through; the flags override the file. If several flags match a name, the \
+         last one applies. * matches any text",
     ),
     (
-        Kind::OccluderOnly,
-        "Objects and materials whose name matches block sight lines and are in no set, like an engine's \
-         proxy meshes",
+        SurfaceKind::OccluderOnly,
+        "Objects and materials whose name matches block sight lines and are in no set, such as the proxy \
+         meshes of an engine",
     ),
     (
-        Kind::Moving,
-        "Objects and materials whose name matches neither block nor show, because they move at run time. The \
-         file makes animated nodes and skinned meshes moving",
+        SurfaceKind::Moving,
+        "Objects and materials whose name matches move at run time, so they neither block sight lines nor \
+         are in a set. By default, animated nodes and skinned meshes are moving",
     ),
     (
-        Kind::Door,
-        "Objects and materials whose name matches are doors: they neither block nor show, and with --method \
-         portals (or exact and --reachable-from) what they cover in a wall is an opening of the object's \
-         name that `look` can shut",
+        SurfaceKind::Door,
+        "Objects and materials whose name matches are doors: they neither block sight lines nor are in a \
+         set. With --method portals (or exact and --reachable-from), the area of a wall that a door covers \
+         is an opening with the name of the object, and `look` can shut the opening",
     ),
     (
-        Kind::Opaque,
-        "Objects and materials whose name matches block and show. Without a glob: all of them. A file \
-         that follows is not taken as the glob",
+        SurfaceKind::Opaque,
+        "Objects and materials whose name matches are opaque: they block sight lines and are visible. \
+         Without a glob: all objects and materials. The name of a file after the flag is not used as its \
+         glob",
     ),
 ];
 
-/// Endings of the files that commands take.
+/// The extensions of the files that commands accept.
 const FILES: [&str; 6] = [".obj", ".ply", ".gltf", ".glb", ".pvs", ".tets"];
 
-/// The arguments of the command line, where a file that follows `--opaque` is not taken as its glob: the
-/// flags go before the file, and `--opaque` needs no glob.
+/// Returns the arguments with `--opaque` separated from a file that follows it. `--opaque` needs no glob, so
+/// clap would otherwise use the file as its glob.
 pub fn with_opaque_alone(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
     let is_file = |text: &OsString| {
@@ -76,19 +77,20 @@ impl Args for KindArgs {
     fn augment_args(command: Command) -> Command {
         let alpha = Arg::new(ALPHA).long(ALPHA).action(ArgAction::SetTrue).help_heading(HEADING).help(
             "Read the PNG and JPEG textures of glTF materials with alphaMode MASK: a sight line passes \
-                 where the texel is below alphaCutoff, and ends where it is not. Needs --method aggressive. \
-                 Without the flag such materials are see-through as a whole, which loses nothing",
+                 through texels below alphaCutoff and ends at other texels. Needs --method aggressive. \
+                 Without the flag, such materials are see-through as a whole, so that no visible triangle is \
+                 missing",
         );
         let command = FLAGS.into_iter().fold(command, |command, (kind, help)| {
             let arg = Arg::new(kind.name())
                 .long(kind.name())
                 .value_name("GLOB")
                 .action(ArgAction::Append)
-                .value_parser(move |glob: &str| Rule::new(kind, glob))
+                .value_parser(move |glob: &str| KindRule::new(kind, glob))
                 .help_heading(HEADING)
                 .help(help);
-            // `--opaque` alone is about everything.
-            let all = kind == Kind::Opaque;
+            // `--opaque` without a glob applies to all triangles.
+            let all = kind == SurfaceKind::Opaque;
             command.arg(if all {
                 arg.num_args(0..=1).default_missing_value("*")
             } else {
@@ -97,9 +99,10 @@ impl Args for KindArgs {
         });
         command.arg(alpha).arg(
             Arg::new(CULL).long(CULL).action(ArgAction::SetTrue).help_heading(HEADING).help(
-                "Triangles neither show nor block from behind. The front is where the vertices run \
-                     counter-clockwise, in glTF after the transforms of the nodes. Materials with \
-                     doubleSided keep both sides. Needs --method aggressive",
+                "Ignore triangles whose back faces the viewpoint: they neither block sight lines nor are \
+                     visible. On the front, the vertices are in counter-clockwise order, in glTF after the \
+                     transforms of the nodes. Materials with doubleSided have two front sides. Needs \
+                     --method aggressive",
             ),
         )
     }
@@ -111,9 +114,11 @@ impl Args for KindArgs {
 
 impl FromArgMatches for KindArgs {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let mut rules: Vec<(usize, Rule)> = Vec::new();
+        let mut rules: Vec<(usize, KindRule)> = Vec::new();
         for (kind, _) in FLAGS {
-            let given = matches.get_many::<Rule>(kind.name()).unwrap_or_default();
+            let given = matches
+                .get_many::<KindRule>(kind.name())
+                .unwrap_or_default();
             rules.extend(
                 matches
                     .indices_of(kind.name())
@@ -153,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn rules_keep_the_order_of_the_flags() {
+    fn rules_keep_order_of_flags() {
         let line = [
             "x",
             "a.glb",
@@ -165,7 +170,7 @@ mod tests {
             "door",
         ];
         let line = Line::try_parse_from(line).unwrap();
-        let rules: Vec<(Kind, String)> = line
+        let rules: Vec<(SurfaceKind, String)> = line
             .kinds
             .options
             .rules
@@ -173,10 +178,10 @@ mod tests {
             .map(|r| (r.kind, r.glob))
             .collect();
         let expected = [
-            (Kind::SeeThrough, "glass*"),
-            (Kind::Opaque, "*"),
-            (Kind::SeeThrough, "*pane"),
-            (Kind::Moving, "door"),
+            (SurfaceKind::SeeThrough, "glass*"),
+            (SurfaceKind::Opaque, "*"),
+            (SurfaceKind::SeeThrough, "*pane"),
+            (SurfaceKind::Moving, "door"),
         ];
         assert_eq!(rules, expected.map(|(k, g)| (k, g.to_owned())));
         assert_eq!(line.scene, "a.glb");

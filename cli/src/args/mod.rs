@@ -1,4 +1,4 @@
-//! Arguments of the command line, as clap reads them.
+//! The arguments of the command line, as clap parses them.
 
 pub mod ambient;
 pub mod bench;

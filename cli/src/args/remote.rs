@@ -1,4 +1,4 @@
-//! The arguments of the commands that speak with a coordinator as clients.
+//! The arguments of the commands that are clients of a coordinator.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::args::traces::TraceArgs;
 
 #[derive(Args, Debug, Clone)]
 pub struct RemoteArgs {
-    /// Address of the coordinator: https:// where it has a certificate.
+    /// Address of the coordinator: https:// if the coordinator has a certificate.
     #[arg(
         long,
         value_name = "URL",
@@ -24,10 +24,11 @@ pub struct RemoteArgs {
     pub keys: KeyArgs,
 }
 
-/// Whom a client trusts, and who it says it is.
+/// The authority that a client trusts, and the credentials of the client.
 #[derive(Args, Debug, Clone)]
 pub struct KeyArgs {
-    /// The certificate, as PEM, of the authority that signed the coordinator's. Default: those of the system.
+    /// The certificate of the authority that signed the certificate of the coordinator, as PEM. Default: the
+    /// authorities of the system.
     #[arg(
         long,
         value_name = "FILE",
@@ -35,7 +36,7 @@ pub struct KeyArgs {
         hide_env_values = true
     )]
     pub ca: Option<PathBuf>,
-    /// A certificate of one's own, as PEM: workers may show one instead of a token.
+    /// The certificate of this client, as PEM. A worker can use a certificate instead of a token.
     #[arg(
         long,
         value_name = "FILE",
@@ -44,7 +45,7 @@ pub struct KeyArgs {
         hide_env_values = true
     )]
     pub cert: Option<PathBuf>,
-    /// The key of --cert, as PEM.
+    /// The private key of --cert, as PEM.
     #[arg(
         long,
         value_name = "FILE",
@@ -53,8 +54,8 @@ pub struct KeyArgs {
         hide_env_values = true
     )]
     pub key: Option<PathBuf>,
-    /// File with the token, as `sightline token new` prints it. Default: the text in SIGHTLINE_TOKEN, if it
-    /// is set.
+    /// The file with the token that `sightline token new` printed. Default: the text of SIGHTLINE_TOKEN, if
+    /// it is set.
     #[arg(
         long,
         value_name = "FILE",
@@ -75,7 +76,7 @@ impl RemoteArgs {
         Ok(Endpoint::new(&self.coordinator).with_credentials(self.credentials()?))
     }
 
-    /// Reads the credentials.
+    /// Reads the credentials from their files.
     pub fn credentials(&self) -> Result<Credentials, Error> {
         self.keys.files().read()
     }
@@ -103,14 +104,16 @@ pub struct SubmitArgs {
     pub remote: RemoteArgs,
     #[command(flatten)]
     pub job: JobOptions,
-    /// Name shown beside the job's number, cut to 32 characters. Default: the scene's file name.
+    /// Name of the job, which lists show next to its number. Only the first 32 characters are used. Default:
+    /// the file name of the scene.
     #[arg(long)]
     pub name: Option<String>,
-    /// Makes `submit` safe to repeat: submitting again with the same text gives the same job. Default: a new
-    /// text each time.
+    /// Text that identifies the submission, so that `submit` is safe to repeat: a second submission with the
+    /// same text returns the same job. Default: a new random text.
     #[arg(long, value_name = "TEXT")]
     pub request_id: Option<String>,
-    /// Jobs of higher priority get workers first, -1000 to 1000. Tiles at work are not taken back.
+    /// Priority of the job, -1000 to 1000. Jobs of higher priority get workers first. Running tiles are not
+    /// interrupted.
     #[arg(
         long,
         value_name = "N",
@@ -119,27 +122,28 @@ pub struct SubmitArgs {
     )]
     #[arg(value_parser = priority)]
     pub priority: i32,
-    /// Who submits. Jobs of the same priority share the workers evenly between users, however many jobs each
-    /// has. Default: the login name.
+    /// Name of the user who submits the job. Jobs of the same priority share the workers evenly between
+    /// users, regardless of the number of jobs per user. Default: the login name.
     #[arg(long, value_name = "NAME")]
     pub user: Option<String>,
     #[command(flatten)]
     pub traces: TraceArgs,
-    /// Submit nothing and send no scene: say how many tiles the job has, what it is expected to cost by the
-    /// coordinator's finished jobs, and which jobs come before it.
+    /// Print the number of tiles, the expected cost according to the finished jobs of the coordinator, and
+    /// the jobs that come first. Neither uploads the scene nor submits the job.
     #[arg(long)]
     pub dry_run: bool,
 }
 
-/// Reads the number of a job.
+/// Parses the number of a job.
 fn job_number(text: &str) -> Result<u64, String> {
-    text.parse()
-        .map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
+    text.parse().map_err(|_| {
+        "give the number of a job, such as 7; `sightline jobs` lists the numbers".to_owned()
+    })
 }
 
 #[derive(Args, Debug)]
 pub struct JobRefArgs {
-    /// The job's number, as `submit` and `jobs` print it.
+    /// The number of the job, as `submit` and `jobs` print it.
     #[arg(value_name = "JOB", value_parser = job_number)]
     pub id: u64,
     #[command(flatten)]
@@ -150,7 +154,8 @@ pub struct JobRefArgs {
 pub struct ShowArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
-    /// Print all tiles of the job instead, a line each: state, worker, cost, and on whom it failed and why.
+    /// Print all tiles of the job instead, one per line: state, worker, cost, and for failed attempts the
+    /// workers and reasons.
     #[arg(long)]
     pub tiles: bool,
 }
@@ -159,24 +164,24 @@ pub struct ShowArgs {
 pub struct PauseArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
-    /// Stop the tiles at work, too. After `resume` they go on from their last finished phase.
+    /// Stop running tiles, too. After `resume`, they continue from their last finished phase.
     #[arg(long)]
     pub now: bool,
 }
 
 #[derive(Args, Debug)]
 pub struct LogsArgs {
-    /// The job's number. Default: everything that happened on the farm.
+    /// The number of the job. Default: the events of the whole farm.
     #[arg(value_name = "JOB", value_parser = job_number)]
     pub id: Option<u64>,
-    /// Go on with what happens from now on, until Ctrl-C.
+    /// Continue to print new events until Ctrl-C.
     #[arg(short, long)]
     pub follow: bool,
-    /// Print the time line of the job's tiles as Chrome trace JSON, for chrome://tracing or
-    /// ui.perfetto.dev: a row for each worker, from lease to end.
+    /// Print the timeline of the tiles of the job as Chrome trace JSON, for chrome://tracing or
+    /// ui.perfetto.dev. The timeline has a row per worker and shows each tile from its lease to its end.
     #[arg(long, requires = "id", conflicts_with_all = ["follow", "after"])]
     pub trace: bool,
-    /// Only events with greater numbers; --json prints the numbers.
+    /// Number of an event: print only events with higher numbers. --json prints the numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub after: u64,
     #[command(flatten)]
@@ -185,7 +190,7 @@ pub struct LogsArgs {
 
 #[derive(Args, Debug)]
 pub struct WorkersArgs {
-    /// Let this quarantined worker work again, instead of listing workers: its name, or its signature
+    /// Release this worker from quarantine, instead of listing workers: its name, or its signature
     /// NAME#IDENTITY from the list.
     #[arg(long, value_name = "WORKER")]
     pub release: Option<String>,
@@ -195,19 +200,19 @@ pub struct WorkersArgs {
 
 #[derive(Args, Debug)]
 pub struct InvalidateArgs {
-    /// The job's number. Default: all jobs; then --worker is needed.
+    /// The number of the job. Default: all jobs, which requires --worker.
     #[arg(value_name = "JOB", value_parser = job_number, required_unless_present = "worker")]
     pub id: Option<u64>,
-    /// This tile of the job alone. Can be given several times.
+    /// Select only this tile of the job. Can be given several times.
     #[arg(long = "tile", value_name = "N", requires = "id")]
     pub tiles: Vec<u32>,
-    /// Only tiles in which this worker may have had a hand.
+    /// Select only tiles to which this worker may have contributed.
     #[arg(long, value_name = "WORKER")]
     pub worker: Option<String>,
-    /// Only tiles that were committed in this last time, such as 90m or 2h.
+    /// Select only tiles that were committed within this duration before now, such as 90m or 2h.
     #[arg(long, value_name = "DUR", value_parser = sightline::options::text::parse_duration)]
     pub since: Option<Duration>,
-    /// Only tiles that were committed before this last time.
+    /// Select only tiles that were committed earlier than this duration before now, such as 30m.
     #[arg(long, value_name = "DUR", value_parser = sightline::options::text::parse_duration)]
     pub until: Option<Duration>,
     #[command(flatten)]
@@ -221,8 +226,8 @@ pub struct FetchArgs {
     /// The result file to write.
     #[arg(short, long, value_name = "OUT.pvs")]
     pub output: PathBuf,
-    /// Of a job that has not ended, what is done so far. Cells that are not done show everything, as
-    /// undecided.
+    /// Download the finished cells of an unfinished job. The sets of all other cells contain every triangle,
+    /// as undecided.
     #[arg(long)]
     pub partial: bool,
 }
@@ -231,12 +236,12 @@ pub struct FetchArgs {
 pub struct JobsArgs {
     #[command(flatten)]
     pub remote: RemoteArgs,
-    /// Most jobs to list, 1 to 1000: the newest.
+    /// Maximum number of jobs to list, 1 to 1000, the newest first.
     #[arg(long, value_name = "N", default_value_t = 100,
         value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub limit: u32,
-    /// List only jobs older than this one.
-    #[arg(long, value_name = "JOB", value_parser = first_after_none)]
+    /// List only jobs with lower numbers than this job.
+    #[arg(long, value_name = "JOB", value_parser = job_number_above_one)]
     pub before: Option<u64>,
     /// List only jobs in this state. Can be given several times.
     #[arg(long = "state", value_name = "STATE",
@@ -258,7 +263,7 @@ pub struct JobsArgs {
         hide_default_value = true
     )]
     pub user: String,
-    /// List all jobs, however many there are.
+    /// List all jobs, without a limit.
     #[arg(long, conflicts_with_all = ["limit", "before"])]
     pub all: bool,
 }
@@ -267,7 +272,8 @@ pub struct JobsArgs {
 pub struct PriorityArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
-    /// The new priority, -1000 to 1000. A job has 0 unless `submit` was told otherwise.
+    /// The new priority, -1000 to 1000. The priority of a job is 0 unless `submit --priority` set another
+    /// one.
     #[arg(value_name = "N", allow_negative_numbers = true, value_parser = priority)]
     pub priority: i32,
 }
@@ -277,10 +283,10 @@ fn priority(text: &str) -> Result<i32, String> {
     number.ok_or_else(|| "a priority is a whole number from -1000 to 1000".to_owned())
 }
 
-/// The number of a job with older ones before it.
-fn first_after_none(text: &str) -> Result<u64, String> {
+/// Parses the job number of `--before`, which is at least 2, so that a lower job number exists.
+fn job_number_above_one(text: &str) -> Result<u64, String> {
     match job_number(text)? {
-        0 | 1 => Err("no job is older: jobs are numbered from 1".to_owned()),
+        0 | 1 => Err("job numbers start at 1; give a number of at least 2".to_owned()),
         n => Ok(n),
     }
 }

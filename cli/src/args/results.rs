@@ -1,4 +1,5 @@
-//! The arguments of the commands that show, compare and export results, and of those that write manuals.
+//! The arguments of the commands that show, compare and export results, and of the command that writes
+//! manuals.
 
 use std::path::PathBuf;
 
@@ -8,13 +9,13 @@ use sightline_model::{TracerChoice, Up};
 
 use crate::args::kinds::KindArgs;
 
-/// Compares two results cell by cell: what came into the sets, what went, in which objects, and whether
-/// sampling alone may explain it. Triangles are compared where both scenes have the same objects, else
-/// objects by name.
+/// Compare two results cell by cell: the items that the sets gained and lost, their objects, and whether
+/// sampling noise explains the differences. The command compares triangles if both scenes have the same
+/// objects, and otherwise objects by name.
 ///
-/// Items that came are a change when they take more of the view than the older result may miss (its bound of
-/// --max-error), and those that went when they take more than the newer one may. This needs both results with
-/// --max-error (or an exact method) and with --contributions.
+/// Gained items count as a change if they cover more of the view than the older result may miss (its
+/// --max-error). Lost items count if they cover more than the newer result may miss. This needs two results
+/// with --contributions and with --max-error or an exact method.
 #[derive(Args, Debug)]
 pub struct DiffArgs {
     /// The older result.
@@ -23,16 +24,18 @@ pub struct DiffArgs {
     /// The newer result.
     #[arg(value_name = "NEWER.pvs")]
     pub newer: PathBuf,
-    /// Compare objects by name, although triangles could be compared.
+    /// Compare objects by name, even if triangles are comparable.
     #[arg(long)]
     pub objects: bool,
-    /// End with exit code 6 if more than this fraction of the sets changed, on average over the cells.
+    /// End with exit code 6 if more than this fraction of the sets changed, 0 to 1, on average over the
+    /// cells. Default: no limit.
     #[arg(long, value_name = "F", value_parser = parse_fraction)]
     pub fail_above: Option<f64>,
-    /// Print Markdown, for a comment on a change.
+    /// Print Markdown, for example for a comment on a pull request.
     #[arg(long)]
     pub markdown: bool,
-    /// Also write a page, as `sightline view` does: the newer result with heat maps of what came and went.
+    /// The HTML page to write, like `sightline view`: the newer result with heat maps of the gained and lost
+    /// items.
     #[arg(short, long, value_name = "OUT.html")]
     pub output: Option<PathBuf>,
     /// The scene of the newer result, for the page.
@@ -42,31 +45,32 @@ pub struct DiffArgs {
     pub kinds: KindArgs,
 }
 
-/// A form of export.
+/// The format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
-    /// JSON: the scene's objects with their places in the glTF file, and for each cell its box and objects
+    /// JSON: the objects of the scene with their nodes, meshes and primitives in the glTF file, and for each
+    /// cell its box and the numbers of the objects in its set
     Sidecar,
-    /// JSON for streaming: the same with each cell's number of triangles, the neighbours to load next, and
-    /// the objects' shares of the view where the bake measured those of objects
+    /// JSON for streaming: the content of sidecar, the number of triangles of each cell, the neighbours to
+    /// load next, and the view shares of the objects if the bake measured them
     Manifest,
-    /// A line for each pair of a cell and an object in its set
+    /// CSV: one line per pair of a cell and an object in its set
     Csv,
-    /// The scene's own glTF or GLB file (--scene) with the extension SIGHTLINE_visibility
+    /// The glTF or GLB file of the scene (--scene) with the extension SIGHTLINE_visibility
     Gltf,
 }
 
-/// Writes the objects of each cell for an engine, for streaming, as a table, or into the scene's glTF file.
-/// Cells without viewpoints are left out.
+/// Write the objects of each cell for an engine, for streaming, as a table, or into the glTF file of the
+/// scene. Cells without viewpoints are skipped.
 #[derive(Args, Debug)]
 pub struct ExportArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// The form.
+    /// The format of the file.
     #[arg(long, value_enum)]
     pub format: ExportFormat,
-    /// The glTF or GLB file that the result was baked from; with --format gltf.
+    /// The glTF or GLB file that the result was baked from. Required by --format gltf.
     #[arg(long, value_name = "LEVEL.glb")]
     pub scene: Option<PathBuf>,
     /// The file to write.
@@ -74,66 +78,69 @@ pub struct ExportArgs {
     pub output: PathBuf,
 }
 
-/// Shows a result in a browser: what each cell draws as one walks or flies through the scene, hidden
-/// triangles in red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden.
-/// Without -o the page is served on this machine and opened; with -o it is one file that needs no other and
-/// no network.
+/// Write a report as HTML. The report contains the error with plots and the worst frames, the cells over
+/// budget, and the most expensive objects.
 #[derive(Args, Debug)]
 pub struct ReportArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// The scene that it was baked from.
+    /// The scene that the result was baked from.
     pub scene: PathBuf,
-    /// The document to write.
+    /// The HTML file to write.
     #[arg(short, long, value_name = "OUT.html")]
     pub output: PathBuf,
     #[command(flatten)]
     pub kinds: KindArgs,
-    /// What a cell may draw: a JSON file with some of "triangles", "objects" and "bytes" (of all triangles of
-    /// the objects; 36 a triangle, or "bytes_per_triangle").
+    /// The budget of each cell: a JSON file with some of "triangles", "objects" and "bytes" (of all triangles
+    /// of the objects). "bytes_per_triangle" sets the size of a triangle; its default is 36.
     #[arg(long, value_name = "FILE")]
     pub budget: Option<PathBuf>,
-    /// End with exit code 6 when a cell is over the budget.
+    /// End with exit code 6 if a cell exceeds the budget.
     #[arg(long, requires = "budget")]
     pub fail_over_budget: bool,
-    /// Random viewpoints at which the error is measured.
+    /// Number of random viewpoints for measuring the error, 1 to 100000.
     #[arg(long, value_name = "N", default_value_t = 200)]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub viewpoints: u32,
     /// Side of a face of each frame in pixels, 8 to 1024.
     #[arg(long, value_name = "N", default_value_t = 256)]
     pub resolution: u32,
-    /// Seed of viewpoints and segments.
+    /// Seed of the viewpoints and segments.
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
-    /// Backend that renders the frames and traces the segments.
+    /// Backend that renders the frames and traces the segments: cpu, gpu, embree or auto.
     #[arg(long, value_parser = named::<TracerChoice>(), default_value_t, hide_possible_values = true)]
     pub backend: TracerChoice,
 }
 
+/// Show a result in a browser: the set of each cell as you walk or fly through the scene.
+///
+/// The page draws hidden triangles in red, and cells with their numbers as boxes. For a triangle that you
+/// click, the page shows the reason why it is visible or hidden. Without -o, the command serves the page on
+/// this machine and opens it. With -o, the page is a single file that needs no other file and no network.
 #[derive(Args, Debug)]
 pub struct ViewArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// The scene that it was baked from. Without it only cells are shown.
+    /// The scene that the result was baked from. Default: the page shows only cells.
     pub scene: Option<PathBuf>,
-    /// Write the page to this file instead of serving it.
+    /// The HTML file to write instead of serving the page.
     #[arg(short, long, value_name = "VIEW.html")]
     pub output: Option<PathBuf>,
     #[command(flatten)]
     pub kinds: KindArgs,
-    /// The cell in which the page begins. Default: one whose set is neither large nor small.
+    /// The number of the cell in which the page starts, from 0. Default: the cell with the median set size.
     #[arg(long, value_name = "CELL")]
     pub cell: Option<u32>,
-    /// What `sightline measure` has printed: the page lists its worst viewpoints.
+    /// The output of `sightline measure --json`. The page lists the worst viewpoints of the measurement.
     #[arg(long, value_name = "MEASURED.json")]
     pub worst: Option<PathBuf>,
-    /// The axis that points up. Default: that of the bake, else y.
+    /// The axis that points up. Default: the axis of the bake if it is known, otherwise y.
     #[arg(long, value_parser = named::<Up>())]
     pub up: Option<Up>,
-    /// The port of this machine on which the page is served; 0 for any that is free.
+    /// The port of this machine on which the command serves the page; 0 for any free port.
     #[arg(
         long,
         value_name = "PORT",
@@ -141,14 +148,14 @@ pub struct ViewArgs {
         conflicts_with = "output"
     )]
     pub port: u16,
-    /// Open no browser.
+    /// Do not open a browser.
     #[arg(long, conflicts_with = "output")]
     pub no_open: bool,
 }
 
 impl ViewArgs {
-    /// The page of a result and its scene, served and opened.
-    pub fn of(result: PathBuf, scene: PathBuf, kinds: KindArgs) -> Self {
+    /// Returns the arguments that serve the page of a result with its scene, and open it in the browser.
+    pub fn new(result: PathBuf, scene: PathBuf, kinds: KindArgs) -> Self {
         Self {
             result,
             scene: Some(scene),
@@ -163,8 +170,8 @@ impl ViewArgs {
     }
 }
 
-/// Prints the completions of this command line for a shell, such as
-/// `sightline completions bash > ~/.local/share/bash-completion/completions/sightline`.
+/// Print the completions of this command line for a shell, such as `sightline completions bash >
+/// ~/.local/share/bash-completion/completions/sightline`.
 #[derive(Args, Debug)]
 pub struct CompletionsArgs {
     /// The shell.
@@ -172,14 +179,14 @@ pub struct CompletionsArgs {
     pub shell: clap_complete::Shell,
 }
 
-/// Writes a manual page for each command, such as `sightline man ~/.local/share/man/man1`.
+/// Write a manual page for each command, such as `sightline man ~/.local/share/man/man1`.
 #[derive(Args, Debug)]
 pub struct ManArgs {
-    /// The folder, which is made if it is not there.
+    /// The folder to write; created if it does not exist.
     pub folder: PathBuf,
 }
 
-/// A fraction from 0 to 1.
+/// Parses a fraction from 0 to 1.
 fn parse_fraction(text: &str) -> Result<f64, String> {
     let fraction = text.parse::<f64>().ok().filter(|f| (0.0..=1.0).contains(f));
     fraction.ok_or_else(|| "give a fraction from 0 to 1, as in 0.01".to_owned())

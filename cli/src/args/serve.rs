@@ -11,20 +11,21 @@ use sightline_model::TracerChoice;
 use crate::args::remote::RemoteArgs;
 use crate::args::traces::TraceArgs;
 
-/// How a line of the log looks.
+/// The format of the log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum LogFormat {
-    /// For people.
+    /// Plain text for users.
     #[default]
     Text,
-    /// One JSON object a line: timestamp, level, target, the message and its fields, and the spans around it.
+    /// One JSON object per line: timestamp, level, target, the message with its fields, and the enclosing
+    /// spans.
     Json,
 }
 
 #[derive(Args, Debug)]
 pub struct CoordinatorArgs {
-    /// Address to listen on, such as 127.0.0.1:7600. Port 0 takes any free port; the address is printed to
-    /// stdout.
+    /// Address to listen on, such as 127.0.0.1:7600. With port 0, the system selects a free port. The address
+    /// is printed to stdout.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:7600")]
     pub listen: SocketAddr,
     /// Directory for jobs, scenes and results.
@@ -32,69 +33,74 @@ pub struct CoordinatorArgs {
     pub data_dir: PathBuf,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Where scenes and results are: dir:PATH, or s3://BUCKET/PREFIX with
+    /// Location of scenes and results: dir:PATH, or s3://BUCKET/PREFIX with
     /// ?endpoint=https://HOST:PORT&region=NAME&ca=FILE&keys=FILE&cache=BYTES&direct=yes. The keys of a bucket
-    /// are read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. With direct=yes, or
-    /// direct=https://HOST:PORT where workers use another address, workers read and write large blobs there
-    /// by themselves. Default: `blobs` in --data-dir.
+    /// are read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. With direct=yes, workers
+    /// read and write large blobs directly in the bucket; use direct=https://HOST:PORT if workers need a
+    /// different address. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]
     pub blobs: Option<String>,
-    /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
-    /// default.
+    /// Address of the HTTP server, such as 127.0.0.1:7601: a dashboard for browsers, and the calls of
+    /// clients as JSON, except streams (docs/farm.md). Default: off.
     #[arg(long, value_name = "ADDR:PORT")]
     pub http: Option<SocketAddr>,
-    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9464, as plain
-    /// HTTP and to everybody: they name workers, and no jobs, users or scenes. Off by default.
+    /// Address of the metrics server, such as 0.0.0.0:9464: /metrics for Prometheus, /livez and /readyz, as
+    /// plain HTTP without authentication. The metrics name workers, but no jobs, users or scenes. Default:
+    /// off.
     #[arg(long, value_name = "ADDR:PORT")]
     pub metrics_listen: Option<SocketAddr>,
-    /// What each user of --tokens may have and do, such as bytes=100G,scenes=100,jobs=1000,tiles=1000000:
-    /// bytes of scenes and results, scenes, jobs and their tiles; and requests a second and calls at a
-    /// time, which are 200 and 256 if nothing else is said. `none` is no limit. With USER: in front it is
-    /// for this user alone. Can be given several times.
+    /// Quota of each user of --tokens, such as bytes=100G,scenes=100,jobs=1000,tiles=1000000. The names are
+    /// bytes (of scenes and results), scenes, jobs, tiles (of all jobs), requests (per second, default 200)
+    /// and calls (at the same time, default 256). `none` means no limit. With USER: in front, the quota is
+    /// only for this user. Can be given several times. Default: only the limits of requests and calls.
     #[arg(long, value_name = "[USER:]NAME=N,…", requires = "tokens")]
     pub quota: Vec<String>,
-    /// Delete jobs with their results this long after they ended, and scenes that no job names any more,
-    /// such as 720h. A step of the wall clock pauses this. Default: keep them.
+    /// Retention time of ended jobs with their results and of unreferenced scenes, such as 720h. After a step
+    /// of the wall clock, no job is deleted by age until the coordinator has run for this time. Default:
+    /// unlimited.
     #[arg(long, value_name = "DUR", value_parser = sightline::options::text::parse_duration)]
     pub keep: Option<Duration>,
-    /// While results and scenes have more bytes than this, delete the ended job with the lowest number, such
-    /// as 500G. Default: no bound.
+    /// Maximum size of results and scenes in bytes, such as 500G. While they are larger, the coordinator
+    /// deletes the ended job with the lowest number. Default: unlimited.
     #[arg(long, value_name = "BYTES", value_parser = sightline_coordinator::bytes)]
     pub keep_bytes: Option<u64>,
-    /// Have this share of the tiles, 0 to 1, computed again by another worker. Where the bytes differ, a
-    /// third one says who was wrong; that worker is quarantined, and what it did is computed again.
+    /// Share of the tiles, 0 to 1, that a second worker computes again. If the outputs differ, a third worker
+    /// computes the tile and determines the faulty worker. The coordinator quarantines the faulty worker and
+    /// has its tiles computed again.
     #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
     pub spot_check: f64,
-    /// How the log on stderr looks: text, or one JSON object a line.
+    /// The format of the log on stderr: text, or one JSON object per line.
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
     pub log_format: LogFormat,
-    /// Allow connections from other machines without encryption, where the network is private.
+    /// Allow unencrypted connections from other machines. Use it only in private networks.
     #[arg(long)]
     pub allow_plaintext: bool,
-    /// The coordinator's certificate, as PEM, with those between it and its authority: connections are
-    /// encrypted. SIGHUP reads it again.
+    /// The certificate of the coordinator with its intermediate certificates, as PEM, to encrypt connections.
+    /// SIGHUP reads it again. Default: no encryption.
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     pub tls_cert: Option<PathBuf>,
-    /// The key of --tls-cert, as PEM.
+    /// The private key of --tls-cert, as PEM.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub tls_key: Option<PathBuf>,
-    /// The authority of the workers' certificates, as PEM: a worker must show a certificate that it has
-    /// signed, or a token with the scope worker.
+    /// The authority of the certificates of workers, as PEM. A worker then needs a certificate from this
+    /// authority, or a token with the scope worker.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub client_ca: Option<PathBuf>,
     #[command(flatten)]
     pub traces: TraceArgs,
-    /// The file of tokens, as `sightline token new` makes it: every call needs one of them, and users see
-    /// their own jobs and scenes alone. A change takes effect within two seconds.
+    /// The file of tokens that `sightline token new` creates. Every call then needs a token, and users see
+    /// only their own jobs and scenes. Changes of the file take effect within two seconds. Default: no
+    /// authentication.
     #[arg(long, value_name = "FILE")]
     pub tokens: Option<PathBuf>,
 }
 
 #[derive(Args)]
 pub struct StoreArgs {
-    /// Where the records of jobs, scenes and tiles are: sled:DIR on this disk, memory: until the end, or
-    /// postgres://USER@HOST/DATABASE, which several coordinators share: one leads, the others pass calls on
-    /// to it. The database's password is in PGPASSWORD. Default: sled in the data directory.
+    /// Location of the records of jobs, scenes and tiles: sled:DIR on this disk, memory: until the
+    /// coordinator ends, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD. Several
+    /// coordinators can share a database: one leads, and the others forward calls to the leader. Default:
+    /// sled in the data directory.
     #[arg(
         long,
         value_name = "URL",
@@ -102,7 +108,7 @@ pub struct StoreArgs {
         hide_env_values = true
     )]
     pub store: Option<String>,
-    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    /// The authority of the certificate of the database, as PEM. Default: the authorities of the system.
     #[arg(
         long,
         value_name = "FILE",
@@ -110,17 +116,19 @@ pub struct StoreArgs {
         hide_env_values = true
     )]
     pub store_ca: Option<PathBuf>,
-    /// Where the other coordinators of the database call this one. Default: the address of --listen.
+    /// Address at which the other coordinators of the database call this one. Default: the address of
+    /// --listen.
     #[arg(long, value_name = "URL")]
     pub advertise: Option<String>,
-    /// The authority of the other coordinators' certificates, as PEM. Default: those of the system.
+    /// The authority of the certificates of the other coordinators, as PEM. Default: the authorities of the
+    /// system.
     #[arg(long, value_name = "FILE")]
     pub peer_ca: Option<PathBuf>,
 }
 
 impl std::fmt::Debug for StoreArgs {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        // The address may hold a password.
+        // Omit the address from debug output, because it may contain a password.
         f.debug_struct("StoreArgs")
             .field("advertise", &self.advertise)
             .finish_non_exhaustive()
@@ -131,7 +139,8 @@ impl std::fmt::Debug for StoreArgs {
 pub struct WorkerArgs {
     #[command(flatten)]
     pub remote: RemoteArgs,
-    /// Backends that this worker offers: cpu, gpu, or auto, every backend that works on this machine.
+    /// Backends that this worker offers: cpu, gpu, embree or auto. auto offers cpu, and gpu if it works on
+    /// this machine.
     #[arg(long, value_parser = named::<TracerChoice>(), default_value_t, hide_possible_values = true)]
     pub backend: TracerChoice,
     /// Use the Vulkan adapter whose name contains this text.
@@ -140,28 +149,31 @@ pub struct WorkerArgs {
     /// Threads for sampling and queries, 1 to 1024. Default: one per core.
     #[arg(long, value_name = "N", value_parser = thread_count)]
     pub threads: Option<usize>,
-    /// Name that the coordinator shows. Default: host name, process number and a random number.
+    /// Name of the worker in lists and logs. Default: host name, process number and a random number.
     #[arg(long)]
     pub name: Option<String>,
-    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9465, as plain
-    /// HTTP and to everybody. Ready is a worker that its coordinator knows. Off by default.
+    /// Address of the metrics server, such as 0.0.0.0:9465: /metrics for Prometheus, /livez and /readyz, as
+    /// plain HTTP without authentication. The worker is ready while it is registered at its coordinator.
+    /// Default: off.
     #[arg(long, value_name = "ADDR:PORT")]
     pub metrics_listen: Option<SocketAddr>,
     #[command(flatten)]
     pub traces: TraceArgs,
-    /// How the log on stderr looks: text, or one JSON object a line.
+    /// The format of the log on stderr: text, or one JSON object per line.
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
     pub log_format: LogFormat,
-    /// Read and write every blob through the coordinator, also where it offers addresses of its object
-    /// store: for a machine that must not reach that, or would only wait for it.
+    /// Transfer every blob through the coordinator, even if the coordinator offers addresses of its object
+    /// store. Use this option if the machine must not reach the object store, or cannot reach it, so that
+    /// attempts to connect only cost time.
     #[arg(long)]
     pub no_direct: bool,
-    /// Stop when the coordinator cannot be reached for this many seconds. Default: keep trying.
+    /// Duration in seconds after which the worker stops if the coordinator is unreachable. Default:
+    /// unlimited.
     #[arg(long, value_name = "S")]
     pub give_up_after: Option<u64>,
 }
 
-/// Reads a share.
+/// Parses a share of the tiles, from 0 to 1.
 fn share(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
@@ -169,13 +181,12 @@ fn share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a number of threads.
+/// Parses a number of threads from 1 to 1024.
 fn thread_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(n @ 1..=1024) => Ok(n),
         _ => Err(
-            "give a number from 1 to 1024, or leave --threads out for one thread per core"
-                .to_owned(),
+            "give a number from 1 to 1024, or omit --threads for one thread per core".to_owned(),
         ),
     }
 }

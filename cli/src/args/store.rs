@@ -12,29 +12,30 @@ pub struct StoreCommandArgs {
 
 #[derive(Subcommand, Debug)]
 pub enum StoreCommand {
-    /// Check every record and every blob, and list the lost ones. Exit code 3 if records or blobs are lost.
+    /// Check every record and every blob, and list lost ones. If records or blobs are lost, the exit code is
+    /// 3.
     Verify(StoreVerifyArgs),
-    /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at
-    /// its start when it is worth it.
+    /// Write a shorter journal with only the current records. A coordinator compacts its journal at startup
+    /// when the journal is over 32 MiB and more than eight times as large as its records.
     Compact(PlaceArgs),
-    /// Write all records to a file, one JSON line each. Blobs are files of their own.
+    /// Write all records to a file, one JSON line each. The file does not contain blobs.
     Export(StoreExportArgs),
-    /// Read all records from such a file into an empty store.
+    /// Read all records from an exported file into an empty store.
     Import(ImportArgs),
-    /// Copy all records of one store into another, empty one: from disk into PostgreSQL, or back.
+    /// Copy all records of a store to an empty one: from disk to PostgreSQL, or back.
     Migrate(MigrateArgs),
 }
 
 #[derive(Args, Debug)]
 pub struct MigrateArgs {
-    /// The store to read: sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE
-    /// with the password in PGPASSWORD. No coordinator may use it.
+    /// The store to read: sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE with
+    /// the password in PGPASSWORD. Stop its coordinators first.
     #[arg(value_name = "FROM")]
     pub from: String,
-    /// The store to fill, which must be empty.
+    /// The store to write, in the same form. It must be empty.
     #[arg(value_name = "TO")]
     pub to: String,
-    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    /// The authority of the certificate of the database, as PEM. Default: the authorities of the system.
     #[arg(
         long,
         value_name = "FILE",
@@ -46,7 +47,7 @@ pub struct MigrateArgs {
 
 #[derive(Args, Debug)]
 pub struct PlaceArgs {
-    /// The directory of a coordinator that does not run.
+    /// The data directory of a stopped coordinator.
     #[arg(long, value_name = "DIR", default_value = "sightline-data")]
     pub data_dir: PathBuf,
 }
@@ -55,8 +56,8 @@ pub struct PlaceArgs {
 pub struct StoreVerifyArgs {
     #[command(flatten)]
     pub place: PlaceArgs,
-    /// Where the records are: sled:DIR, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD. No
-    /// coordinator may use them. Default: `state` in --data-dir.
+    /// Location of the records: sled:DIR, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD.
+    /// Stop its coordinators first. Default: `state` in --data-dir.
     #[arg(
         long,
         value_name = "URL",
@@ -64,7 +65,7 @@ pub struct StoreVerifyArgs {
         hide_env_values = true
     )]
     pub store: Option<String>,
-    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    /// The authority of the certificate of the database, as PEM. Default: the authorities of the system.
     #[arg(
         long,
         value_name = "FILE",
@@ -72,15 +73,15 @@ pub struct StoreVerifyArgs {
         hide_env_values = true
     )]
     pub store_ca: Option<PathBuf>,
-    /// Where the blobs are, as for the coordinator. Default: `blobs` in --data-dir.
+    /// Location of the blobs, in the form of `sightline coordinator --blobs`. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]
     pub blobs: Option<String>,
-    /// Repair a damaged journal, remove damaged blobs, and compute lost tiles and results again at the next
-    /// start. A copy of a damaged journal stays in `state/damaged`. Default: check only.
+    /// Repair a damaged journal, remove damaged blobs, and mark lost tiles and results to be computed again
+    /// at the next start. A copy of a damaged journal stays in `state/damaged`. Default: only check.
     #[arg(long)]
     pub repair: bool,
-    /// Record that the blobs belong to this store, so that its coordinator may remove unreferenced ones.
-    /// Only for a store whose records were restored or replaced on purpose.
+    /// Record that the blobs belong to this store, so that its coordinator may remove unreferenced blobs. Use
+    /// it only if you restored or replaced the records on purpose.
     #[arg(long)]
     pub claim_blobs: bool,
 }

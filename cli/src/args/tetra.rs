@@ -8,11 +8,11 @@ use crate::args::kinds::KindArgs;
 
 /// Divide the space between the surfaces of a scene into convex cells, for `look`
 ///
-/// Any triangles will do: they may cross, overlap, leave gaps, or have no area. Every triangle with
-/// an area becomes a union of faces, and nothing is moved or rounded.
+/// The triangles may intersect, overlap, leave gaps, or have no area. Every triangle with an area
+/// becomes a union of faces. The command neither moves nor rounds a point.
 ///
-///   sightline tetra town.glb -o town.tets          build
-///   sightline tetra --check town.glb town.tets     check a file, by other code with integers
+///   sightline tetra town.glb -o town.tets          build the file
+///   sightline tetra --check town.glb town.tets     check it with separate code, with integers
 ///   echo '{"id":1,"point":[1,2,3]}' | sightline look town.tets --points -
 #[derive(Args, Debug)]
 #[command(
@@ -23,10 +23,10 @@ use crate::args::kinds::KindArgs;
 pub struct TetraArgs {
     /// The scene: .obj, .ply, .gltf or .glb.
     pub scene: PathBuf,
-    /// With --check: the file to check.
+    /// The file to check. Needs --check.
     #[arg(value_name = "OUT.tets", requires = "check")]
     pub tets: Option<PathBuf>,
-    /// The file to write.
+    /// The file to write. Required without --check.
     #[arg(
         short,
         long,
@@ -34,13 +34,13 @@ pub struct TetraArgs {
         required_unless_present = "check"
     )]
     pub output: Option<PathBuf>,
-    /// Also write the cells as tetrahedra, a file that ParaView and other programs with VTK read. Each has
-    /// the number of its cell and the number of solids that hold it, and each triangle of the scene is there
-    /// with its id.
+    /// The VTK file to write with the cells as tetrahedra, for ParaView and similar programs. Each
+    /// tetrahedron has the number of its cell and the number of solids that contain it. The file also
+    /// contains each triangle of the scene with its id. Default: none.
     #[arg(long, value_name = "MESH.vtu", conflicts_with = "check")]
     pub export: Option<PathBuf>,
-    /// Check a file: that its cells fill the box without overlap, that neighbours agree, and that each
-    /// triangle is covered once. If not, the exit code is 3.
+    /// Check a file instead of writing one: its cells must fill the box without overlap, neighbours must
+    /// agree, and each triangle must be covered once. If a check fails, the exit code is 3.
     #[arg(long, conflicts_with = "output", requires = "tets")]
     pub check: bool,
     #[command(flatten)]
@@ -50,50 +50,57 @@ pub struct TetraArgs {
     pub threads: Option<u16>,
 }
 
-/// How exactly a set is decided.
+/// The accuracy of a set.
 #[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LookMode {
-    /// All that is visible, and nothing else.
+    /// Exactly the visible triangles.
     #[default]
     Exact,
-    /// Nothing that is hidden, and not less than the angle allows: what is seen in beams narrower than
-    /// --angle may be missing, and "dropped" is their solid angle.
+    /// Only visible triangles. A triangle that is visible only in beams narrower than --angle may be missing;
+    /// "dropped" is the solid angle of these beams.
     Aggressive,
-    /// All that is visible, and in beams narrower than --angle also what is hidden in part.
+    /// All visible triangles and, in beams narrower than --angle, also some hidden triangles.
     Conservative,
 }
 
-/// Who answers.
+/// The query algorithm.
 #[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LookEngine {
-    /// The one that has less to do for the first point (docs/look.md).
+    /// Select the algorithm that needs less work for the first point (docs/look.md).
     #[default]
     Auto,
-    /// The cells, front to back.
+    /// Traverse the cells front to back.
     Tetra,
-    /// A hierarchy of boxes, nearest first.
+    /// Traverse a hierarchy of boxes, nearest first.
     Bvh,
 }
 
-/// Look from points at run time: what is seen, and what share of a box
+/// Compute the triangles that are visible from points, and the visible shares of boxes
 ///
-/// A .tets file of `sightline tetra` answers what is seen from a point, exactly or up to an angle,
-/// in a cone or in all directions, and what share of a box's picture is visible. All but the point
-/// may be left out. The fov is the full angle of a round cone in degrees, 90 if none is given;
-/// "distance" ends the view:
+/// With a .tets file of `sightline tetra`, the command computes the triangles that are visible from
+/// a point, exactly or up to an angle, in a cone or in all directions, and the visible share of the
+/// picture of a box. All fields except "point" are optional. "fov" is the full angle of a round cone
+/// in degrees; its default is 90. "distance" is the end of the view:
 ///
 ///   {"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":DEG,"distance":D,
 ///    "targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}
 ///   {"id":1,"visible":[ids],"areas":[steradians],"witnesses":[[x,y,z]],"sky":…,"dropped":…,
 ///    "inside":false,"targets":[{"id":1,"fraction":0.37}],"cells":n,"beams":n,"micros":n}
 ///
-/// A result with portals (.pvs) answers with the triangles of a cell's set that are in the view and
-/// not behind walls. The angles are full ones in degrees, and "shut" may be left out:
+/// "areas" and "witnesses" need the flags of these names. "sky" is the solid angle without triangles and
+/// "dropped" the undecided solid angle, both in steradians. "inside" is true if the point is inside of a
+/// closed solid. "unseen" is the solid angle of triangles that block and are in no set, in steradians; the
+/// field is absent if the scene has no such triangles. "cells" is the number of visited cells or boxes,
+/// "beams" the number of ended beams, and "micros" the time of the answer in microseconds.
+///
+/// With a result of --method portals (.pvs), the command prints the triangles of the cell's set that
+/// are in the view and not behind walls. "fov" contains the full angles in degrees. "shut", the names
+/// of the closed doors, is optional:
 ///
 ///   {"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[h,v],"shut":["door"]}
 ///   {"id":1,"cell":7,"visible":[ids],"micros":…}
 ///
-/// Answers come in the order of the lines.
+/// The answers have the order of the input lines.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]
 pub struct LookArgs {
@@ -103,24 +110,25 @@ pub struct LookArgs {
     /// The points or views as JSON Lines; - for stdin.
     #[arg(long, visible_alias = "eyes", value_name = "P.jsonl")]
     pub points: PathBuf,
-    /// How exactly to answer.
+    /// The accuracy of the sets. Default: exact.
     #[arg(long, value_enum, help_heading = TETS)]
     pub mode: Option<LookMode>,
     /// The angle of --mode aggressive or conservative, in degrees. Default: 0.2.
     #[arg(long, value_name = "DEG", allow_hyphen_values = true, help_heading = TETS)]
     pub angle: Option<f64>,
-    /// Who answers. Exact sets do not depend on it.
+    /// Query algorithm. All algorithms return the same exact sets. Default: auto.
     #[arg(long, value_enum, help_heading = TETS)]
     pub engine: Option<LookEngine>,
     /// Add the solid angle of each visible triangle, in steradians.
     #[arg(long, help_heading = TETS)]
     pub areas: bool,
-    /// Add a direction to each visible triangle along which nothing is met before it; null where a triangle
-    /// holds the point, or where no direction in doubles is certain.
+    /// Add to each visible triangle a direction in which no other triangle is nearer. The direction is null
+    /// if the triangle contains the point, if no direction in doubles is certain, or if the middle of the
+    /// visible part is outside of the view.
     #[arg(long, help_heading = TETS)]
     pub witnesses: bool,
-    /// Threads, 1 to 256. Default: one, as a program that asks point after point has; with more, lines that
-    /// are there already are answered together.
+    /// Threads, 1 to 256. With more than one, lines that have already arrived are answered in parallel.
+    /// Default: 1.
     #[arg(long, value_name = "N", help_heading = TETS)]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
@@ -130,7 +138,7 @@ pub struct LookArgs {
 const TETS: &str = "With a .tets file";
 
 impl LookArgs {
-    /// The first option that needs a .tets file.
+    /// Returns the first given option that needs a .tets file.
     pub fn of_tets(&self) -> Option<&'static str> {
         let given = [
             (self.mode.is_some(), "--mode"),

@@ -7,7 +7,7 @@ use sightline_coordinator::access::Scope;
 
 #[derive(Args, Debug)]
 pub struct TokenArgs {
-    /// The file of tokens, which `sightline coordinator --tokens` reads.
+    /// The file of tokens that `sightline coordinator --tokens` reads.
     #[arg(
         long = "tokens",
         value_name = "FILE",
@@ -21,14 +21,14 @@ pub struct TokenArgs {
 
 #[derive(Subcommand, Debug)]
 pub enum TokenCommand {
-    /// Make a token, and print it. The file keeps a digest of it alone.
+    /// Create a token and print it. The file stores only a digest of the token.
     New {
-        /// Whose jobs and scenes it opens.
+        /// The user whose jobs and scenes the token gives access to.
         #[arg(long, value_name = "NAME")]
         user: String,
-        /// What it allows, one or more with commas: read (see one's own jobs and fetch results), submit
-        /// (that, and send scenes and jobs), worker (take tiles), admin (everything, on the jobs of all
-        /// users).
+        /// The permissions of the token, separated by commas: read (see and download the user's own jobs),
+        /// submit (read, and upload scenes and submit jobs), worker (compute tiles), admin (every call, on
+        /// the jobs of all users).
         #[arg(
             long = "scope",
             value_name = "SCOPES",
@@ -41,7 +41,7 @@ pub enum TokenCommand {
     List,
     /// Revoke a token.
     Revoke {
-        /// Its id, as `list` shows it: the eight digits after slt_.
+        /// The id of the token, as `list` prints it: the eight hexadecimal digits after slt_.
         id: String,
     },
 }

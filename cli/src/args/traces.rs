@@ -7,9 +7,9 @@ use sightline::TraceOptions;
 
 #[derive(Args, Debug, Clone, Default)]
 pub struct TraceArgs {
-    /// Send traces of jobs to this collector of OpenTelemetry, by OTLP over gRPC, such as
-    /// http://127.0.0.1:4317. One that is away delays nothing: spans are lost, and the log says so. Off by
-    /// default.
+    /// Address of an OpenTelemetry collector for traces of jobs, by OTLP over gRPC, such as
+    /// http://127.0.0.1:4317. An unreachable collector does not delay jobs: spans are lost, and the log
+    /// reports the loss. Default: off.
     #[arg(
         long,
         value_name = "URL",
@@ -17,7 +17,7 @@ pub struct TraceArgs {
         hide_env_values = true
     )]
     pub traces: Option<String>,
-    /// The authority of the collector's certificate, as PEM. Default: those of the system.
+    /// The authority of the certificate of the collector, as PEM. Default: the authorities of the system.
     #[arg(
         long,
         value_name = "FILE",

@@ -1,4 +1,4 @@
-//! `sightline ambient`: what the hemispheres of points, texels or vertices are free of.
+//! `sightline ambient`: computes the openness of points, texels or vertices.
 
 use sightline::Error;
 
@@ -6,18 +6,18 @@ use crate::args::ambient::AmbientArgs;
 use crate::bake::ambient_file;
 use crate::bake::ambient_points;
 
-/// Answers for the points of a file, or puts the occlusion into the scene's own.
+/// Computes the openness of the points of a file, or writes a copy of the scene's file with the occlusion.
 pub fn run(args: &AmbientArgs, json: bool) -> Result<(), Error> {
     if args.points.is_none() && (args.fragments || args.lights.is_some() || args.threads.is_some())
     {
         return Err(Error::usage(
-            "--fragments, --lights and --threads are for --points; leave them out, or give points"
+            "--fragments, --lights and --threads need --points; omit them, or give --points"
                 .to_owned(),
         ));
     }
     if args.kinds.options.cull_back_faces {
         return Err(Error::usage(
-            "triangles hide from either side here; leave out --cull-back-faces".to_owned(),
+            "ambient occlusion uses both sides of triangles; omit --cull-back-faces".to_owned(),
         ));
     }
     match (&args.points, &args.output) {

@@ -1,8 +1,8 @@
-//! `sightline ambient -o`: the occlusion of a scene into its own file.
+//! `sightline ambient -o`: writes the occlusion of a scene to a copy of its file.
 
 use std::io::Write as _;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 use serde_json::json;
@@ -13,22 +13,24 @@ use sightline::words::plural;
 use sightline::{
     AmbientResult, Client, Endpoint, Error, ErrorKind, Local, OrderedReceivers, Submission,
 };
-use sightline_ambient::{Prepared, Receiver, Settings, Solver};
-use sightline_texels::{Bits, Coordinates, Plan, Size, Target, Value, Written};
+use sightline_ambient::{AmbientScene, Receiver, Solver, SolverSettings};
+use sightline_texels::{
+    BitDepth, Plan, ReceiverValue, TexCoordSource, TextureSize, ValueTarget, WrittenFile,
+};
 
-use crate::args::ambient::{AmbientArgs, To, Uv};
+use crate::args::ambient::{AmbientArgs, OcclusionTarget, Uv};
 use crate::bake::ambient_distance::distance;
 use crate::scenes::read::scene;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Writes the scene's file with its occlusion.
+/// Writes a copy of the scene's file with its ambient occlusion to `path`.
 pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), Error> {
     let start = Instant::now();
     sightline::process::use_threads(threads(None))?;
     let output = Output::check(path, Format::Glb, Some(&args.scene)).map_err(|e| {
-        // Its own contract wants 3 where a file would replace the scene.
+        // The exit code for an output that would replace the scene has to be 3.
         let same = std::fs::canonicalize(path)
             .ok()
             .zip(std::fs::canonicalize(&args.scene).ok());
@@ -59,10 +61,10 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), Error> {
         plural(receivers.len(), "point"),
         plural(scene.triangles().len(), "triangle")
     ));
-    let prepared = Prepared::new(&scene, false)?;
-    let settings = Settings {
+    let prepared = AmbientScene::new(&scene, false)?;
+    let settings = SolverSettings {
         falloff: args.falloff.falloff(),
-        ..Settings::new(distance)
+        ..SolverSettings::new(distance)
     };
     let ordered = OrderedReceivers::new(&Solver::new(&prepared, settings), &receivers);
     let terminal = Terminal::new();
@@ -90,17 +92,17 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), Error> {
     terminal.end();
     if openness.missing() > 0 {
         return Err(Error::job(format!(
-            "{} of {} points have no openness, because their tiles failed; nothing is written. The same \
-             command tries them again",
+            "{} of {} points have no openness, because their tiles failed; nothing is written. Run the same \
+             command again to retry",
             openness.missing(),
             receivers.len()
         )));
     }
     let open = ordered.restore(&openness);
-    let values: Vec<Value> = receivers
+    let values: Vec<ReceiverValue> = receivers
         .par_iter()
         .zip(&open)
-        .map(|(r, open)| Value {
+        .map(|(r, open)| ReceiverValue {
             open: f64::from(*open),
             inside: prepared.is_inside(r),
         })
@@ -115,43 +117,47 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), Error> {
         args,
         path,
         &values,
-        (&written, openness.bound, job.id()),
-        start,
+        &Computed {
+            written: &written,
+            bound: openness.bound,
+            job: job.id(),
+            took: start.elapsed(),
+        },
         json,
     )
 }
 
-/// What the flags say of the texture or the vertices.
+/// Returns the settings of the texture or of the vertices from the flags.
 fn texels(args: &AmbientArgs) -> Result<sightline_texels::Settings, Error> {
     let bits = match args.bits {
-        8 => Bits::Eight,
-        16 => Bits::Sixteen,
+        8 => BitDepth::Eight,
+        16 => BitDepth::Sixteen,
         other => {
             return Err(Error::usage(format!(
-                "--bits {other}: values have 8 or 16 bits"
+                "--bits {other} is not supported; give 8 or 16"
             )));
         }
     };
     Ok(sightline_texels::Settings {
         target: match args.to {
-            To::Texture => Target::Texture,
-            To::Vertices => Target::Vertices,
+            OcclusionTarget::Texture => ValueTarget::Texture,
+            OcclusionTarget::Vertices => ValueTarget::Vertices,
         },
         size: match (args.texel, args.resolution) {
-            (Some(size), _) => Size::Texel(size),
-            (None, Some(side)) => Size::Resolution(side),
+            (Some(size), _) => TextureSize::Texel(size),
+            (None, Some(side)) => TextureSize::Resolution(side),
             (None, None) => sightline_texels::Settings::default().size,
         },
         coordinates: match args.uv {
-            None => Coordinates::Any,
-            Some(Uv::Keep) => Coordinates::Keep,
-            Some(Uv::Unwrap) => Coordinates::Unwrap,
+            None => TexCoordSource::Any,
+            Some(Uv::Keep) => TexCoordSource::Keep,
+            Some(Uv::Unwrap) => TexCoordSource::Unwrap,
         },
         bits,
     })
 }
 
-/// A job's name: that of the file.
+/// Returns a job name from the file name of `path`.
 fn short(path: &Path) -> String {
     let name = path
         .file_name()
@@ -161,14 +167,30 @@ fn short(path: &Path) -> String {
     name.chars().filter(|c| !c.is_control()).take(32).collect()
 }
 
+/// The written file, and the properties of its values.
+struct Computed<'a> {
+    written: &'a WrittenFile,
+    /// The bound on the error of every receiver's openness, from 0 to 1.
+    bound: f64,
+    /// The number of the job.
+    job: u64,
+    took: Duration,
+}
+
+/// Prints a summary of the written file.
 fn report(
     args: &AmbientArgs,
     path: &Path,
-    values: &[Value],
-    (written, bound, job): (&Written, f64, u64),
-    start: Instant,
+    values: &[ReceiverValue],
+    computed: &Computed<'_>,
     json: bool,
 ) -> Result<(), Error> {
+    let Computed {
+        written,
+        bound,
+        job,
+        took,
+    } = *computed;
     let facts = &written.facts;
     let inside = values.iter().filter(|v| v.inside).count();
     let mean = values
@@ -177,15 +199,14 @@ fn report(
         .map(|v| v.open)
         .sum::<f64>()
         / values.len().saturating_sub(inside).max(1) as f64;
-    // Answers of jobs are in single precision.
+    // The answers of jobs are rounded to single precision.
     let bound = bound + f64::from(f32::EPSILON) / 2.0;
-    let is_texture = args.to == To::Texture;
+    let is_texture = args.to == OcclusionTarget::Texture;
     let receivers = if is_texture {
         facts.texels
     } else {
         facts.vertices
     };
-    let took = start.elapsed();
     if json {
         let texture = is_texture.then(|| {
             json!({"width": facts.width, "height": facts.height, "bits": args.bits, "kept": facts.kept,
@@ -214,7 +235,7 @@ fn report(
         format!("{receivers} vertices")
     };
     print(&format!(
-        "{what}, from {} in {}; mean openness {mean:.4}, each point right to {bound:.0e}\nwrote {}",
+        "{what}, from {} in {}; mean openness {mean:.4}, error per point at most {bound:.0e}\nwrote {}",
         plural(values.len(), "point"),
         human(took),
         path.display()

@@ -1,4 +1,5 @@
-//! `sightline ambient --points`: answers for points, one JSON line in, one JSON line out.
+//! `sightline ambient --points`: computes the openness of points, with one JSON line per point in input and
+//! output.
 
 use std::path::Path;
 
@@ -7,7 +8,7 @@ use sightline::Error;
 use sightline::process::threads;
 use sightline::words::plural;
 use sightline_ambient::{
-    Answer, Light, LightLine, PointLine, Prepared, Receiver, Settings, Solver,
+    AmbientScene, Light, LightLine, PointLine, Receiver, ReceiverResult, Solver, SolverSettings,
 };
 
 use crate::args::ambient::AmbientArgs;
@@ -17,13 +18,13 @@ use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Points that are answered together. Which points are together changes answers within their bounds, so it
-/// depends on the input alone.
+/// The number of points in a batch. The division into batches changes answers within their bounds, so it
+/// depends only on the input.
 const TOGETHER: usize = 1 << 16;
-/// Most lights.
+/// Maximum number of lights.
 const MOST_LIGHTS: usize = 4096;
 
-/// Answers every point of a file, in order.
+/// Prints the openness of every point of a file, in order.
 pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), Error> {
     sightline::process::use_threads(threads(args.threads.map(usize::from)))?;
     let scene = scene(&args.scene, &args.kinds)?;
@@ -32,13 +33,13 @@ pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), Error> {
         Some(path) => self::lights(path)?,
         None => Default::default(),
     };
-    let settings = Settings {
+    let settings = SolverSettings {
         falloff: args.falloff.falloff(),
         fragments: args.fragments,
         lights,
-        ..Settings::new(distance)
+        ..SolverSettings::new(distance)
     };
-    let prepared = Prepared::new(&scene, args.fragments)?;
+    let prepared = AmbientScene::new(&scene, args.fragments)?;
     answer_all(
         path,
         scene.triangles().len(),
@@ -47,7 +48,7 @@ pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), Error> {
     )
 }
 
-/// The names and shapes of the lights of a file.
+/// Reads the names and shapes of the lights of a file.
 fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), Error> {
     let mut input = JsonLines::open(path, "--lights", r#"{"id":"lamp","polygon":[[x,y,z],…]}"#)?;
     let (mut names, mut lights): (Vec<String>, Vec<Light>) = (Vec::new(), Vec::new());
@@ -58,13 +59,13 @@ fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), Error> {
         for (name, light) in lines {
             if names.contains(&name) {
                 return Err(Error::input(format!(
-                    "{}: two lights have the id {name:?}; answers name lights by ids: give each its own",
+                    "{}: two lights have the id {name:?}; give each light a different id",
                     input.name
                 )));
             }
             if names.len() == MOST_LIGHTS {
                 return Err(Error::input(format!(
-                    "{} has more than {MOST_LIGHTS} lights; give fewer at a time",
+                    "{} has more than {MOST_LIGHTS} lights; give at most {MOST_LIGHTS} lights per command",
                     input.name
                 )));
             }
@@ -113,20 +114,25 @@ fn answer_all(
         }
     };
     if ended.is_err() {
-        say("only the points before the bad line were answered:");
+        say("the command answered only the points before the bad line:");
     }
     say(&match points {
         0 => "0 points".to_owned(),
         _ => format!(
-            "{}, each right to {most:.0e}",
+            "{}, error per point at most {most:.0e}",
             plural(points as usize, "point")
         ),
     });
     ended
 }
 
-/// An answer as it is printed.
-fn in_json(id: &Value, answer: &Answer, settings: &Settings, lights: &[String]) -> Value {
+/// Returns the openness of a point as JSON, in the printed form.
+fn in_json(
+    id: &Value,
+    answer: &ReceiverResult,
+    settings: &SolverSettings,
+    lights: &[String],
+) -> Value {
     let openness = &answer.openness;
     let mut line = json!({
         "id": id,

@@ -1,4 +1,4 @@
-//! `sightline assemble`: the result of a planned bake.
+//! `sightline assemble`: joins the tiles of a planned bake to a result.
 
 use serde_json::json;
 use sightline::{Error, tiles};
@@ -14,6 +14,6 @@ pub fn run(args: &AssembleArgs, json: bool) -> Result<(), Error> {
     }
     let (name, bytes) = (assembled.output, assembled.bytes);
     print(&format!(
-        "{name}: {bytes} bytes; `sightline info {name}` describes it"
+        "wrote {name} ({bytes} bytes); `sightline info {name}` prints a summary"
     ))
 }

@@ -1,4 +1,4 @@
-//! `sightline bake`: a bake in this process, and what it says of its result.
+//! `sightline bake`: runs a bake in this process, and prints a summary of its result.
 
 use std::time::{Duration, Instant};
 
@@ -19,13 +19,13 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), Error> {
     let start = Instant::now();
     if args.view && json {
         return Err(Error::usage(
-            "--view serves a page until it is interrupted, and --json prints one document; leave one of them \
-             out, and give `sightline view` the result afterwards",
+            "--view serves a page until it is interrupted, but --json prints one document; omit \
+             --view, and run `sightline view` afterwards",
         ));
     }
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
     use_threads(threads(None))?;
-    // Starting drivers may take longer than reading most scenes.
+    // Starting the drivers may take longer than reading most scenes, so it runs in parallel.
     let search = TracerSearch::begin(args.job.backend.unwrap_or_default());
     let terminal = Terminal::new();
     let source = SceneSource::File(args.scene.clone());
@@ -60,11 +60,11 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), Error> {
         kinds,
         ..
     } = args;
-    view::run(&ViewArgs::of(output, scene, kinds), json)
+    view::run(&ViewArgs::new(output, scene, kinds), json)
 }
 
 fn report(args: &BakeArgs, outcome: &Baked, took: Duration, json: bool) -> Result<(), Error> {
-    let summary = Summary::of(&args.output)?;
+    let summary = Summary::open(&args.output)?;
     let job = outcome.job.message();
     let peak = peak_memory();
     if json {
@@ -80,34 +80,39 @@ fn report(args: &BakeArgs, outcome: &Baked, took: Duration, json: bool) -> Resul
         crate::terminal::stdout::print(&value.to_string())
     } else {
         let mut lines = summary.lines();
-        let peak = peak.map_or("not known here".to_owned(), |p| {
+        let peak = peak.map_or("unknown on this system".to_owned(), |p| {
             format!("{:.0} MB", p as f64 / 1e6)
         });
         lines.push(if outcome.from_store {
             format!(
-                "answered from the store in {}, where it was baked before with {} samples; peak memory \
-                 {peak}",
+                "read from the data directory in {}: an earlier bake computed this result with {} \
+                 samples; peak memory {peak}",
                 human(took),
                 job.samples
             )
         } else {
-            format!("baked in {}, {} samples, peak memory {peak}", human(took), job.samples)
+            format!(
+                "baked in {}, {} samples, peak memory {peak}",
+                human(took),
+                job.samples
+            )
         });
         if summary.sees_nothing() {
-            // An exact bake finds small triangles too.
+            // An exact bake includes small triangles, too.
             let small = match summary.is_decided() {
-                false => " Triangles that look very small from there need --method exact.",
+                false => " Triangles that look very small from the cells need --method exact.",
                 true => "",
             };
             lines.push(format!(
-                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the \
-                 scene's units and axes?{small}"
+                "ATTENTION: no triangle is visible from any cell. Check that the view box contains the \
+                 viewpoints, in the scene's units and axes.{small}"
             ));
         }
         if job.tiles_set_aside > 0 {
             lines.push(format!(
-                "ATTENTION: {} tiles failed and were set aside; their cells show everything. Run the same \
-                 command again to try them again; the log above says why they failed.",
+                "ATTENTION: {} tiles failed and were set aside; the sets of their cells contain \
+                 every triangle. Run the same command again to retry these tiles; the log above \
+                 contains the reasons.",
                 job.tiles_set_aside
             ));
         }
@@ -116,7 +121,7 @@ fn report(args: &BakeArgs, outcome: &Baked, took: Duration, json: bool) -> Resul
     }
 }
 
-/// The peak memory of this process in bytes, from Linux's /proc; `None` on other systems.
+/// Returns the peak memory of this process in bytes, from Linux's /proc, or `None` on other systems.
 pub fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
@@ -124,8 +129,8 @@ pub fn peak_memory() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// The CPU seconds of all threads of this process so far, user and system; `None` where the system does not
-/// tell.
+/// Returns the CPU time of all threads of this process so far, user and system, in seconds. Returns `None` if
+/// the system does not report it.
 #[cfg(unix)]
 fn cpu_seconds() -> Option<f64> {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);

@@ -1,4 +1,4 @@
-//! `sightline plan`: a job with its scene and its plan, in a folder.
+//! `sightline plan`: writes a job with its scene and its plan to a folder.
 
 use serde_json::json;
 use sightline::process::{threads, use_threads};
@@ -9,7 +9,7 @@ use crate::args::tiles::PlanArgs;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Writes a planned bake.
+/// Plans the bake in the arguments, and writes the plan to the folder or bucket.
 pub fn run(args: &PlanArgs, json: bool) -> Result<(), Error> {
     use_threads(threads(None))?;
     let terminal = Terminal::new();
@@ -22,7 +22,7 @@ pub fn run(args: &PlanArgs, json: bool) -> Result<(), Error> {
         return print(&json!(planned).to_string());
     }
     print(&format!(
-        "{}: {} for {}; compute each with `sightline tile {} N`",
+        "{}: {} for the numerics profile {}; compute each with `sightline tile {} N`",
         planned.output,
         plural(planned.tiles as usize, "tile"),
         planned.profile,

@@ -7,7 +7,7 @@ use crate::args::bench::BenchArgs;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// The arguments as options of the library.
+/// Converts the arguments into options of the library.
 fn options(args: &BenchArgs) -> Options {
     Options {
         scenes: args.scenes.clone(),
@@ -40,11 +40,11 @@ fn bench_error(e: BenchError) -> Error {
     }
 }
 
-/// Measures, writes the files, prints the tables.
+/// Runs the benchmark, writes the files, and prints the tables.
 pub fn run(args: &BenchArgs, json: bool) -> Result<(), Error> {
     let program = std::env::current_exe()
-        .map_err(|e| Error::internal(format!("the file of this program is unknown: {e}")))?;
-    // The runtime listens for signals until it is dropped.
+        .map_err(|e| Error::internal(format!("the path of this program is unknown: {e}")))?;
+    // The runtime listens for signals until it is dropped, so it must outlive the benchmark.
     let runtime = sightline::process::runtime()?;
     let on_stop = |stop: Box<dyn FnOnce() + Send>| {
         runtime.spawn(async move {
@@ -90,9 +90,10 @@ mod tests {
     #[test]
     fn uniform_cubes_reach_message_of_job() {
         use sightline_model::{ErrorMeasure, JobSpec, SceneFacts, Visibility};
-        use sightline_scene::generate::{Kind, Params, generate};
+        use sightline_scene::generate::{SceneKind, SceneParams, generate};
 
-        let scene = std::sync::Arc::new(generate(Kind::Rooms, &Params::default()).unwrap());
+        let scene =
+            std::sync::Arc::new(generate(SceneKind::Rooms, &SceneParams::default()).unwrap());
         for rung in Sampler::CubesUniform.rungs(Ladder::Full) {
             let base = ["sightline", "bake", "a.glb", "-o", "a.pvs"].map(str::to_owned);
             let line = base.into_iter().chain(rung.flags);
@@ -116,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn the_defaults_of_the_command_line_are_those_of_the_library() {
+    fn command_line_and_library_have_same_defaults() {
         #[derive(clap::Parser)]
         struct Line {
             #[command(flatten)]

@@ -1,4 +1,5 @@
-//! `sightline measure`: wrong pixels of a result, compared with item buffers of the full scene.
+//! `sightline measure`: the fraction of wrong pixels of a result, compared with item buffers of the full
+//! scene, or the error by exact sets.
 
 use sightline::process::{threads, use_threads};
 use sightline::{Error, MeasureOptions, NamedResult, SceneSource};

@@ -1,4 +1,4 @@
-//! `sightline coordinator`.
+//! `sightline coordinator`: runs a coordinator.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use crate::farm::store_location::StorePlace;
 use crate::terminal::interrupt::stop_signal;
 use crate::terminal::stderr::say;
 
-/// Serves as coordinator until SIGTERM or Ctrl-C.
+/// Runs a coordinator until SIGTERM or Ctrl-C.
 pub fn run(args: &CoordinatorArgs) -> Result<(), Error> {
     let tls = encryption(args)?;
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
@@ -42,13 +42,13 @@ pub fn run(args: &CoordinatorArgs) -> Result<(), Error> {
         .traces
         .options()
         .start("sightline-coordinator", &default_name()?)?;
-    let _sends_the_rest = traces.closing();
-    let coordinator = match StorePlace::of(&args.store)? {
+    let _flush_guard = traces.flush_guard();
+    let coordinator = match StorePlace::from_args(&args.store)? {
         StorePlace::Database(database) => {
             return runtime()?.block_on(async {
                 reload_on_hangup(tls.clone())?;
                 let listening = listen(args, tls.is_some()).await?;
-                replica::serve(args, (*database, config), tls, listening, move |c| {
+                replica::serve(args, *database, config, tls, listening, move |c| {
                     equip(c, access, traces)
                 })
                 .await
@@ -58,7 +58,8 @@ pub fn run(args: &CoordinatorArgs) -> Result<(), Error> {
         StorePlace::Sled(directory) => open_on(config, &directory),
         StorePlace::Memory => {
             say(
-                "the store is in memory: jobs, scenes and results are lost when this coordinator ends",
+                "the store is in memory: jobs, scenes and results are lost when this coordinator \
+                 ends",
             );
             let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
             Coordinator::new(config.leases, store, blobs, Box::new(SystemClock))
@@ -102,14 +103,15 @@ pub fn run(args: &CoordinatorArgs) -> Result<(), Error> {
     })
 }
 
-/// Opens the records in a directory of their own, and the rest in the data directory.
+/// Opens the records in a separate directory, and all other data in the data directory.
 fn open_on(config: Config, directory: &Path) -> Result<Arc<Coordinator>, OpenError> {
     let store = SledStore::open(directory)?;
     let blobs = config.open_blobs(None)?;
     Coordinator::open_on(config, Box::new(store), blobs)
 }
 
-/// Gives a coordinator who answers questions about scenes, who asks callers who they are, and where spans go.
+/// Gives a coordinator the library that answers queries about scenes, the check of callers' credentials, and
+/// the collector of spans.
 fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>, traces: Traces) {
     coordinator.send_traces(traces);
     coordinator.answer_with(Box::new(LibraryQueries));
@@ -118,7 +120,7 @@ fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>, traces: Traces)
     }
 }
 
-/// Listens where the arguments say.
+/// Listens on the addresses in the arguments.
 async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening, Error> {
     let protected = args.allow_plaintext || is_encrypted;
     let scheme = if is_encrypted { "https" } else { "http" };
@@ -130,12 +132,12 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     let url = format!("{scheme}://{address}");
     let pages_beyond = args.http.is_some_and(|address| !address.ip().is_loopback());
     if args.tokens.is_some() && !is_encrypted && (!address.ip().is_loopback() || pages_beyond) {
-        say("tokens go over the network unencrypted; --tls-cert and --tls-key encrypt them");
+        say("tokens are sent unencrypted; use --tls-cert and --tls-key to encrypt connections");
     }
     if (!address.ip().is_loopback() || pages_beyond) && args.tokens.is_none() {
         say(
-            "whoever reaches this address may read, submit and cancel everything; --tokens asks who \
-             they are",
+            "every client that reaches this address can read, submit and cancel all jobs; use \
+             --tokens to authenticate clients",
         );
     }
     let pages = match args.http {
@@ -150,7 +152,7 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     let metrics = match args.metrics_listen {
         None => None,
         Some(address) => {
-            // What it shows is meant for everybody who reaches it.
+            // The metrics contain no secrets, so every caller that reaches the address may read them.
             let metrics = Listener::bind(address, true, &connections).await;
             let metrics = metrics.map_err(|e| Error::usage(format!("--metrics-listen: {e}")))?;
             let address = metrics.local_addr().map_err(Error::internal)?;
@@ -165,10 +167,10 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     })
 }
 
-/// Returns the place of blobs that a text names.
+/// Parses the location of blobs in the text of `--blobs`. Returns `None` without a text.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Usage`].
+/// An error of the kind [`sightline::ErrorKind::Usage`] if the text is not a valid location.
 pub fn blob_place(text: Option<&str>, allow_plaintext: bool) -> Result<Option<BlobPlace>, Error> {
     let Some(text) = text else { return Ok(None) };
     let mut place = text
@@ -180,7 +182,7 @@ pub fn blob_place(text: Option<&str>, allow_plaintext: bool) -> Result<Option<Bl
     Ok(Some(place))
 }
 
-/// The encryption that the arguments ask for.
+/// Reads the TLS files in the arguments.
 fn encryption(args: &CoordinatorArgs) -> Result<Option<Arc<Tls>>, Error> {
     let (Some(certificate), Some(key)) = (&args.tls_cert, &args.tls_key) else {
         return Ok(None);
@@ -195,8 +197,8 @@ fn encryption(args: &CoordinatorArgs) -> Result<Option<Arc<Tls>>, Error> {
         .map_err(|e| Error::input(e.to_string()))
 }
 
-/// Reads the certificates again at each SIGHUP from now on. Ones that cannot be used change nothing, and
-/// the log says so.
+/// Reads the certificates again at each SIGHUP. If they cannot be used, the previous ones stay and the log
+/// reports the reason.
 fn reload_on_hangup(tls: Option<Arc<Tls>>) -> Result<(), Error> {
     #[cfg(unix)]
     {
@@ -205,8 +207,8 @@ fn reload_on_hangup(tls: Option<Arc<Tls>>) -> Result<(), Error> {
         tokio::spawn(async move {
             while hangups.recv().await.is_some() {
                 let Some(tls) = tls.clone() else {
-                    // Without a handler the signal would end the process.
-                    tracing::info!("there are no certificates to read again");
+                    // Without a handler, the signal would end the process.
+                    tracing::info!("SIGHUP has no effect: this coordinator has no certificates");
                     continue;
                 };
                 match tokio::task::spawn_blocking(move || tls.reload()).await {

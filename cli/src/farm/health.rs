@@ -1,4 +1,4 @@
-//! `sightline health`: whether a coordinator serves.
+//! `sightline health`: checks that a coordinator serves.
 
 use sightline::Error;
 
@@ -6,7 +6,7 @@ use crate::args::remote::RemoteArgs;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Checks whether a coordinator serves.
+/// Checks that a coordinator serves.
 pub fn run(args: &RemoteArgs, json: bool) -> Result<(), Error> {
     args.client()?.health(&Terminal::new())?;
     print(if json {

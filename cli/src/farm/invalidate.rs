@@ -1,4 +1,4 @@
-//! `sightline invalidate`: tiles that are computed again.
+//! `sightline invalidate`: makes a coordinator compute tiles again.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -10,12 +10,13 @@ use crate::args::remote::InvalidateArgs;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Makes the coordinator compute tiles again whose results are no longer trusted.
+/// Makes the coordinator compute tiles again whose results are not trusted.
 pub fn run(args: &InvalidateArgs, json: bool) -> Result<(), Error> {
     if let (Some(since), Some(until)) = (args.since, args.until)
         && since <= until
     {
-        let text = "--since is a longer time than --until: both count back from now";
+        let text =
+            "--since must be a longer duration than --until, because both count back from now";
         return Err(Error::usage(text.to_owned()));
     }
     let now = SystemTime::now()
@@ -38,7 +39,10 @@ pub fn run(args: &InvalidateArgs, json: bool) -> Result<(), Error> {
         return print(&Value::from_iter(jobs.iter().map(job)).to_string());
     }
     if jobs.is_empty() {
-        return print("no done tile is meant; `sightline show JOB --tiles` lists who did which");
+        return print(
+            "no finished tile matches the selection; `sightline show JOB --tiles` lists the \
+         tiles and their workers",
+        );
     }
     jobs.iter().try_for_each(|job| {
         print(&format!(

@@ -1,5 +1,5 @@
-//! `sightline coordinator --store postgres://…`: one of several coordinators on a database. It leads, or
-//! passes calls on to the one that does.
+//! `sightline coordinator --store postgres://…`: runs one of several coordinators on a database. The
+//! coordinator leads, or forwards calls to the leader.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use sightline::Error;
 use sightline::process::default_name;
 use sightline_coordinator::{Config, Coordinator, Front, Listener, Tls};
-use sightline_proto::connecting::Credentials;
+use sightline_proto::connection::Credentials;
 use sightline_store::{DatabaseAddress, OwnDirectory, Replica};
 
 use crate::args::serve::CoordinatorArgs;
@@ -15,23 +15,23 @@ use crate::terminal::interrupt::stop_signal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Where a coordinator listens.
+/// The listeners of a coordinator.
 pub struct Listening {
-    /// For gRPC.
+    /// The listener for gRPC.
     pub calls: Listener,
-    /// Its address, as clients write it.
+    /// The address of the gRPC listener, as clients write it.
     pub url: String,
-    /// For pages, and their address.
+    /// The listener for pages, and its address.
     pub pages: Option<(Listener, String)>,
-    /// For who watches machines, and the address of the metrics.
+    /// The listener for metrics, and its address.
     pub metrics: Option<(Listener, String)>,
 }
 
 impl Listening {
-    /// Prints the addresses, so that a script that gave port 0 can read them.
+    /// Prints the addresses of all listeners, so that a script that chose port 0 can read the ports.
     ///
     /// # Errors
-    /// Standard output cannot be written.
+    /// [`Error`] if standard output cannot be written.
     pub fn announce(&self) -> Result<(), Error> {
         print(&format!("listening on {}", self.url))?;
         if let Some((_, url)) = &self.pages {
@@ -43,11 +43,12 @@ impl Listening {
     }
 }
 
-/// Stands by and leads, until SIGTERM or until another coordinator leads instead. `equip` gives a coordinator
-/// that is to lead what it needs beside its store.
+/// Runs a coordinator as standby and then as leader, until SIGTERM or until another coordinator takes over
+/// the leadership. `equip` prepares a coordinator that becomes the leader.
 pub async fn serve(
     args: &CoordinatorArgs,
-    (database, config): (DatabaseAddress, Config),
+    database: DatabaseAddress,
+    config: Config,
     tls: Option<Arc<Tls>>,
     listening: Listening,
     equip: impl FnOnce(&Coordinator) + Send + 'static,
@@ -57,7 +58,8 @@ pub async fn serve(
         Some(url) => url.clone(),
         None if args.listen.ip().is_unspecified() => {
             return Err(Error::usage(format!(
-                "other coordinators cannot call {}; --advertise says where they reach this one",
+                "other coordinators cannot call {}; give an address that they can reach with \
+                 --advertise",
                 listening.url
             )));
         }
@@ -113,7 +115,7 @@ pub async fn serve(
     Ok(())
 }
 
-/// How other coordinators are called.
+/// Returns the credentials for calls to other coordinators.
 fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, Error> {
     let ca = match &args.store.peer_ca {
         None => None,
@@ -123,7 +125,7 @@ fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, Error> {
         ca,
         ..Credentials::default()
     };
-    // The others are called like this one.
+    // Other coordinators would call this address in the same way, so the check covers the given options.
     credentials.endpoint(own).map_err(|e| {
         Error::usage(format!(
             "other coordinators cannot call {own}: {e}; see --advertise and --peer-ca"
@@ -132,15 +134,21 @@ fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, Error> {
     Ok(credentials)
 }
 
-/// The name under which this coordinator writes to a directory that it shares, the same at each start.
+/// Returns the name under which this coordinator writes to a shared directory. The name is the same at each
+/// start.
 fn own_name(data_dir: &Path) -> Result<String, Error> {
     let path = data_dir.join("replica");
-    let unreadable =
-        |e: std::io::Error| Error::input(format!("{}: cannot be used: {e}", path.display()));
+    let unreadable = |e: std::io::Error| {
+        Error::input(format!(
+            "the file {} with the replica name cannot be read or \
+         written: {e}",
+            path.display()
+        ))
+    };
     match std::fs::read_to_string(&path) {
         Ok(text) if text.len() == 16 && text.bytes().all(|b| b.is_ascii_hexdigit()) => Ok(text),
         Ok(_) => Err(Error::input(format!(
-            "{}: holds no name; delete it, one is made",
+            "{} contains no replica name; delete the file to generate one",
             path.display()
         ))),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {

@@ -1,8 +1,8 @@
-//! `sightline store`: the store of a coordinator that does not run is checked, compacted, and moved.
+//! `sightline store`: checks, compacts and moves the store of a coordinator that is not running.
 //!
-//! An export is JSON Lines: a header with the format's name and version, one `["KEY","VALUE"]` a record
-//! (the key in hexadecimal digits, the value with its checksum as base64), and a last line with the number
-//! of records and the BLAKE3 digest of all lines before it.
+//! An export is JSON Lines. The first line is a header with the format's name and version. Each record is one
+//! `["KEY","VALUE"]`: the key in hexadecimal digits, and the value with its checksum as base64. The last line
+//! contains the number of records and the BLAKE3 digest of all lines before it.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write};
@@ -31,7 +31,7 @@ use crate::terminal::stdout::print;
 
 const FORMAT: &str = "sightline.store";
 const VERSION: u64 = 1;
-/// Longest line of an export; a record has at most 4 KiB.
+/// Maximum length of a line in an export, in bytes. A record has at most 4 KiB, which its text form enlarges.
 const MOST_LINE: u64 = 16 << 10;
 
 /// Runs `sightline store`.
@@ -53,14 +53,15 @@ fn of_keeping(e: KeepingError) -> Error {
     Error::input(e.to_string())
 }
 
-/// The directory of the records, which must be there.
+/// Returns the directory of the records, which must exist.
 fn state(place: &PlaceArgs) -> Result<PathBuf, Error> {
     let state = place.data_dir.join("state");
     if state.is_dir() {
         return Ok(state);
     }
     Err(Error::input(format!(
-        "{} is no data directory of a coordinator: it has no folder state; give --data-dir",
+        "{} is not a data directory of a coordinator, because the folder state is missing; give \
+         --data-dir",
         place.data_dir.display()
     )))
 }
@@ -71,17 +72,17 @@ fn open(place: &PlaceArgs) -> Result<SledStore, Error> {
 
 /// The outcome of `store verify`.
 struct Outcome {
-    /// Counts, and lost blobs.
+    /// The numbers of scenes, jobs and blobs, and the lost blobs.
     found: Verified,
-    /// The number of tiles that are computed again; `None` without a repair of lost blobs.
+    /// The number of tiles to be computed again. `None` without a repair of lost blobs.
     opened: Option<u64>,
     /// The journal with its damage, if it is damaged.
     journal: Option<(PathBuf, Damage)>,
-    /// Whether the journal's watermark could be read; `None` where this was not looked at.
+    /// True if the journal's watermark could be read. `None` if the command did not check the watermark.
     is_marked: Option<bool>,
-    /// The repair of the journal, if it was necessary.
+    /// The repair of the journal, if a repair was necessary.
     repaired: Option<Repaired>,
-    /// The relation of the blobs to the store.
+    /// The owner of the blobs: this store, another store, or unknown.
     ownership: Ownership,
 }
 
@@ -92,7 +93,7 @@ fn verify(args: &StoreVerifyArgs, json: bool) -> Result<(), Error> {
             StorePlace::Sled(folder) if folder.is_dir() => Some(folder),
             StorePlace::Sled(folder) => {
                 return Err(Error::input(format!(
-                    "there is no folder {}; correct --store",
+                    "the folder {} does not exist; correct --store",
                     folder.display()
                 )));
             }
@@ -150,7 +151,7 @@ fn verify(args: &StoreVerifyArgs, json: bool) -> Result<(), Error> {
         return Err(Error::input(error.to_string()));
     }
     let Outcome { found, opened, .. } = outcome;
-    // What is repaired is not lost, but for what has to be sent again.
+    // A repair recovers all blobs except scenes, receivers and specifications, which clients upload again.
     let mut rest = found
         .lost
         .values()
@@ -160,14 +161,14 @@ fn verify(args: &StoreVerifyArgs, json: bool) -> Result<(), Error> {
     };
     let needs: Vec<String> = needs.iter().map(need_text).collect();
     Err(Error::input(format!(
-        "lost blobs: {}, first {}: {why}; --repair has the next start compute again what it can, and \
-         scenes have to be sent again",
+        "lost blobs: {}, the first is {} ({why}); run with --repair, so that the next start computes lost \
+         tiles and results again, and upload lost scenes again",
         rest.count() + 1,
         needs.join(", ")
     )))
 }
 
-/// Checks the records and the blobs, repairs lost outputs if `--repair` is given, and claims the blobs if
+/// Checks the records and the blobs. Repairs lost outputs if `--repair` is given, and claims the blobs if
 /// `--claim-blobs` is given.
 fn look(args: &StoreVerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
     let mut config = Config::new(args.place.data_dir.clone());
@@ -175,12 +176,12 @@ fn look(args: &StoreVerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
     let folder = args.place.data_dir.join("blobs");
     if config.blobs.is_none() && !folder.is_dir() {
         return Err(Error::input(format!(
-            "there is no folder {}; --blobs says where the blobs are",
+            "the folder {} does not exist; give the location of the blobs with --blobs",
             folder.display()
         )));
     }
     let blobs_fault = |e: BlobError| of_keeping(e.into());
-    // Copies of a bucket's blobs go into a folder that is removed.
+    // Copies of a bucket's blobs are stored in a temporary folder.
     let copies = tempfile::tempdir().map_err(Error::internal)?;
     let blobs = match args.repair || args.claim_blobs {
         true => config.open_blobs(None),
@@ -200,7 +201,7 @@ fn look(args: &StoreVerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
         blobs.claim(own).map_err(blobs_fault)?;
     }
     let ownership = match ownership::inspect(own, &*blobs).map_err(of_keeping)? {
-        // The coordinator's next start names an empty blob store.
+        // At its next start, the coordinator writes the store's name to an empty blob store.
         Ownership::Unnamed if found.blobs == 0 => Ownership::Own,
         other => other,
     };
@@ -224,7 +225,7 @@ fn need_text(need: &Reference) -> String {
     match need {
         Reference::Scene => "a scene".to_owned(),
         Reference::Result(job) => format!("the result of job {job}"),
-        Reference::Spec(job) => format!("a part of the specification of job {job}"),
+        Reference::Spec(job) => format!("the receivers, viewpoints or boxes of job {job}"),
         Reference::Output(job, tile) => format!("the output of tile {tile} of job {job}"),
     }
 }
@@ -279,7 +280,7 @@ fn tell(outcome: &Outcome) -> Result<(), Error> {
     } = outcome;
     if let Some(Repaired { damage, damaged }) = repaired {
         let copy = damaged.as_ref().map_or_else(String::new, |path| {
-            format!("; the damaged journal is kept as {}", path.display())
+            format!("; a copy of the damaged journal is in {}", path.display())
         });
         print(&format!(
             "the journal was damaged at byte {} ({}) and is repaired: {}{copy}",
@@ -288,12 +289,15 @@ fn tell(outcome: &Outcome) -> Result<(), Error> {
             damage.loss()
         ))?;
         if damage.is_loss || damage.is_unmeasured {
-            print("jobs that were deleted lately may be back; delete them again")?;
+            print(
+                "jobs that were deleted shortly before the damage may exist again; delete these jobs \
+             again",
+            )?;
         }
     }
     print(&format!(
-        "{}, {}; {}, {} bytes; needed by nobody: {}, {} bytes; a coordinator removes these a day after they \
-         were written",
+        "{}, {}; {}, {} bytes; unreferenced: {}, {} bytes; a coordinator removes unreferenced blobs one day \
+         after they were written",
         plural(found.scenes as usize, "scene"),
         plural(found.jobs as usize, "job"),
         plural(found.blobs as usize, "blob"),
@@ -306,8 +310,9 @@ fn tell(outcome: &Outcome) -> Result<(), Error> {
     }
     if *is_marked == Some(false) {
         print(
-            "no watermark of the journal can be read (journal.mark), so a lost end of the journal cannot be \
-             told; compare the list of jobs with a backup. The next start writes the watermark anew",
+            "the watermark of the journal (journal.mark) cannot be read, so a lost end of the \
+             journal cannot be detected; compare the list of jobs with a backup. The next start \
+             writes a new watermark",
         )?;
     }
     for (needs, why) in found.lost.values() {
@@ -321,9 +326,9 @@ fn tell(outcome: &Outcome) -> Result<(), Error> {
         None if found.lost.is_empty() && journal.is_none() => {
             let is_repaired = repaired.is_some();
             print(if is_repaired {
-                "all blobs that the records name are there"
+                "all blobs that the records refer to exist"
             } else {
-                "everything that is needed is there"
+                "all required records and blobs exist"
             })
         }
         None => Ok(()),
@@ -336,12 +341,12 @@ fn compact(args: &PlaceArgs, json: bool) -> Result<(), Error> {
         return print(&json!({"from_bytes": done.from, "to_bytes": done.to}).to_string());
     }
     print(&format!(
-        "the journal had {} bytes and has {}",
+        "compacted the journal from {} to {} bytes",
         done.from, done.to
     ))
 }
 
-/// Hashes what is written.
+/// A writer that computes the digest of the written bytes.
 struct Hashed<W> {
     to: W,
     hasher: blake3::Hasher,
@@ -386,12 +391,12 @@ fn export(args: &StoreExportArgs, json: bool) -> Result<(), Error> {
         return print(&json!({"records": count}).to_string());
     }
     print(&format!(
-        "{count} records; copy the folder {} as well",
+        "exported {count} records; copy the blobs in the folder {} as well",
         args.place.data_dir.join("blobs").display()
     ))
 }
 
-/// The entries of an export, its header and its end checked.
+/// Reads the entries of an export, and checks the header and the last line.
 fn read(path: &Path) -> Result<Vec<Entry>, Error> {
     let bad =
         |line: usize, what: &str| Error::input(format!("{}, line {line}: {what}", path.display()));
@@ -408,7 +413,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, Error> {
         if length == 0 {
             return Err(bad(
                 number,
-                "the file ends before its last line; it was cut short",
+                "the last line of the export is missing; export the store again",
             ));
         }
         let value: Value = serde_json::from_str(&line).map_err(|e| bad(number, &e.to_string()))?;
@@ -416,21 +421,25 @@ fn read(path: &Path) -> Result<Vec<Entry>, Error> {
             if value["format"] != FORMAT || value["version"] != VERSION {
                 return Err(bad(
                     1,
-                    "this is no export of a store that this version of the program reads",
+                    "the file is not an export of a store that this version of the program \
+                     supports",
                 ));
             }
         } else if let Value::Array(_) = value {
-            let text: (String, String) =
+            let (key, text): (String, String) =
                 serde_json::from_value(value).map_err(|e| bad(number, &e.to_string()))?;
             let damaged = |_| bad(number, "the record is damaged; export the store again");
-            entries.push(Entry::of_text(&text).map_err(damaged)?);
+            entries.push(Entry::parse(&key, &text).map_err(damaged)?);
         } else {
             let whole = value["records"] == entries.len()
                 && value["blake3"] == hasher.finalize().to_hex().as_str();
             return if whole {
                 Ok(entries)
             } else {
-                Err(bad(number, "the file was altered or cut short"))
+                Err(bad(
+                    number,
+                    "the file was altered or cut short; export the store again",
+                ))
             };
         }
         hasher.update(line.as_bytes());
@@ -439,7 +448,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, Error> {
 }
 
 fn import(args: &ImportArgs, json: bool) -> Result<(), Error> {
-    // Everything is read and checked before anything is written.
+    // All entries are read and checked before the first write.
     let entries = read(&args.input)?;
     let store = SledStore::open(&args.place.data_dir.join("state")).map_err(of_store)?;
     let count = entries.len();
@@ -448,8 +457,8 @@ fn import(args: &ImportArgs, json: bool) -> Result<(), Error> {
         return print(&json!({"records": count}).to_string());
     }
     say(&format!(
-        "the blobs belong into {}",
+        "copy the blobs of the exported store to {}",
         args.place.data_dir.join("blobs").display()
     ));
-    print(&format!("{count} records"))
+    print(&format!("imported {count} records"))
 }

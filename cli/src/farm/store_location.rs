@@ -1,4 +1,4 @@
-//! Where a coordinator keeps its records, as `--store` names it.
+//! The location of a coordinator's records, as given by `--store`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,28 +8,28 @@ use sightline_store::DatabaseAddress;
 use crate::args::serve::StoreArgs;
 use crate::terminal::stderr::say;
 
-/// The variable that holds the password of the database, as for PostgreSQL's own programs.
+/// The environment variable with the password of the database, as in PostgreSQL's own programs.
 const PASSWORD: &str = "PGPASSWORD";
 
-/// A place for records.
+/// A location of records.
 #[derive(Debug)]
 pub enum StorePlace {
-    /// In the data directory.
+    /// The data directory.
     Default,
-    /// In this directory.
+    /// The given directory.
     Sled(PathBuf),
-    /// In memory, until the end.
+    /// The memory of the process. The records are lost at its end.
     Memory,
-    /// In a database.
+    /// The given database.
     Database(Box<DatabaseAddress>),
 }
 
 impl StorePlace {
-    /// Returns the place that the arguments name. No error repeats the address, which may hold a password.
+    /// Returns the location in the arguments. Error texts omit the address, which may contain a password.
     ///
     /// # Errors
-    /// [`sightline::ErrorKind::Usage`].
-    pub fn of(args: &StoreArgs) -> Result<Self, Error> {
+    /// An error of the kind [`sightline::ErrorKind::Usage`] if the location or another option is invalid.
+    pub fn from_args(args: &StoreArgs) -> Result<Self, Error> {
         let place = match args.store.as_deref().filter(|text| !text.is_empty()) {
             None => Self::Default,
             Some(text) => Self::parse(text, args.store_ca.as_deref())?,
@@ -42,17 +42,17 @@ impl StorePlace {
             && !matches!(place, Self::Database(_))
         {
             return Err(Error::usage(format!(
-                "{option} is for coordinators that share a database; give \
-                 --store postgres://USER@HOST/DATABASE, or leave it out"
+                "{option} is only for coordinators that share a database; give --store \
+                 postgres://USER@HOST/DATABASE, or omit {option}"
             )));
         }
         Ok(place)
     }
 
-    /// Returns the place that a text names; `ca` is the authority of a database's certificate.
+    /// Parses a location. `ca` is the path of the authority of a database's certificate.
     ///
     /// # Errors
-    /// [`sightline::ErrorKind::Usage`].
+    /// An error of the kind [`sightline::ErrorKind::Usage`] if the text is not a valid location.
     pub fn parse(text: &str, ca: Option<&Path>) -> Result<Self, Error> {
         match text.split_once(':') {
             Some(("memory", "")) => Ok(Self::Memory),
@@ -60,8 +60,8 @@ impl StorePlace {
             Some(("postgres" | "postgresql", _)) => {
                 if std::env::args().any(|argument| argument.contains(text)) && has_password(text) {
                     say(
-                        "everybody on this machine can read the password in the arguments; put the address \
-                         into SIGHTLINE_STORE, or the password into PGPASSWORD",
+                        "every user of this machine can read the password in the arguments; put \
+                         the address into SIGHTLINE_STORE, or the password into PGPASSWORD",
                     );
                 }
                 let password = std::env::var(PASSWORD).ok().filter(|text| !text.is_empty());
@@ -71,13 +71,13 @@ impl StorePlace {
                     .map_err(|e| Error::usage(e.to_string()))
             }
             _ => Err(Error::usage(
-                "--store is sled:DIR, memory: or postgres://USER@HOST/DATABASE".to_owned(),
+                "--store must be sled:DIR, memory: or postgres://USER@HOST/DATABASE".to_owned(),
             )),
         }
     }
 }
 
-/// Whether an address has a password between its user and its host, or among its options.
+/// Returns true if an address contains a password, between its user and its host or among its options.
 fn has_password(text: &str) -> bool {
     let rest = text.split_once("://").map_or(text, |(_, rest)| rest);
     let authority = rest.split(['/', '?']).next().unwrap_or_default();
@@ -91,7 +91,7 @@ fn has_password(text: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn of(text: &str) -> Result<StorePlace, String> {
+    fn parsed_place(text: &str) -> Result<StorePlace, String> {
         let store = Some(text.to_owned());
         let args = StoreArgs {
             store,
@@ -99,16 +99,18 @@ mod tests {
             advertise: None,
             peer_ca: None,
         };
-        StorePlace::of(&args).map_err(|e| e.to_string())
+        StorePlace::from_args(&args).map_err(|e| e.to_string())
     }
 
     #[test]
-    fn places_are_told_apart_and_errors_hold_no_password() {
-        assert!(matches!(of(""), Ok(StorePlace::Default)));
-        assert!(matches!(of("memory:"), Ok(StorePlace::Memory)));
-        assert!(matches!(of("sled:/a/b"), Ok(StorePlace::Sled(path)) if path == Path::new("/a/b")));
+    fn locations_are_parsed_and_errors_contain_no_password() {
+        assert!(matches!(parsed_place(""), Ok(StorePlace::Default)));
+        assert!(matches!(parsed_place("memory:"), Ok(StorePlace::Memory)));
+        assert!(
+            matches!(parsed_place("sled:/a/b"), Ok(StorePlace::Sled(path)) if path == Path::new("/a/b"))
+        );
         assert!(matches!(
-            of("postgres://u:secret@127.0.0.1/d"),
+            parsed_place("postgres://u:secret@127.0.0.1/d"),
             Ok(StorePlace::Database(_))
         ));
         for wrong in [
@@ -118,7 +120,7 @@ mod tests {
             "mysql://u:secret@h/d",
             "postgres://u:secret@h:x/d",
         ] {
-            let error = of(wrong).unwrap_err();
+            let error = parsed_place(wrong).unwrap_err();
             assert!(
                 !error.contains("secret") && error.contains("--store"),
                 "{error}"
@@ -127,10 +129,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_for_a_database_is_refused_without_one() {
+    fn database_options_are_rejected_without_database() {
         let with = |store: &str| {
             let advertise = Some("https://one:7600".to_owned());
-            StorePlace::of(&StoreArgs {
+            StorePlace::from_args(&StoreArgs {
                 store: Some(store.to_owned()),
                 store_ca: None,
                 advertise,
@@ -147,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn passwords_in_addresses_are_seen() {
+    fn passwords_in_addresses_are_detected() {
         assert!(has_password("postgres://u:p@h/d") && has_password("postgres://u@h/d?password=p"));
         assert!(!has_password("postgres://u@h:5432/d"));
     }

@@ -1,4 +1,5 @@
-//! `sightline store migrate`: the records of one store go into another, empty one, on disk or in a database.
+//! `sightline store migrate`: copies the records of a store to another, empty store, on disk or in a
+//! database.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,10 +14,11 @@ use crate::farm::store_location::StorePlace;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// How long a database may have a leader that is gone, and a little more.
+/// The maximum time until a database accepts a new leader after the previous leader disappeared, with a
+/// margin.
 const PATIENCE: Duration = Duration::from_secs(6);
 
-/// Records that a store takes over at once.
+/// The number of records that the target store imports at once.
 const AT_ONCE: usize = 256;
 
 /// Runs `sightline store migrate`.
@@ -28,7 +30,7 @@ pub fn migrate(args: &MigrateArgs, json: bool) -> Result<(), Error> {
     take_over(&*to.store, entries.clone())?;
     if to.store.entries().map_err(|e| input(&e))? != entries {
         return Err(Error::internal(
-            "what is in TO now is not what is in FROM; do not use it".to_owned(),
+            "the records in TO differ from the records in FROM; do not use TO".to_owned(),
         ));
     }
     let count = entries.len();
@@ -37,29 +39,33 @@ pub fn migrate(args: &MigrateArgs, json: bool) -> Result<(), Error> {
     if json {
         return print(&json!({"records": count}).to_string());
     }
-    say("blobs stay where they are; give the coordinator the same --blobs, or copy them");
-    print(&format!("{count} records"))
+    say(
+        "the command copies no blobs; give the coordinator of TO the same --blobs, or copy the blobs",
+    );
+    print(&format!("copied {count} records"))
 }
 
-/// A store that nobody else uses.
+/// A store that no other process uses.
 pub struct Opened {
     /// The store.
     pub store: Box<dyn Store>,
-    /// The place among the coordinators of a database.
+    /// The replica that leads on a database, with its runtime.
     replica: Option<(Replica, tokio::runtime::Runtime)>,
 }
 
 impl Opened {
-    /// Opens the store at an address, which is the argument `what`.
+    /// Opens the store at an address. `what` is the name of the argument that contains the address, for
+    /// errors.
     ///
     /// # Errors
-    /// When the address is none, the store cannot be opened, or somebody uses it.
+    /// [`Error`] if the address is invalid, the store cannot be opened, or another process uses the store.
     pub fn at(text: &str, what: &str, ca: Option<&Path>) -> Result<Self, Error> {
         match StorePlace::parse(text, ca)? {
             StorePlace::Sled(directory) => Self::on_disk(&directory),
             StorePlace::Database(address) => Self::in_database(&address, what),
             StorePlace::Default | StorePlace::Memory => Err(Error::usage(format!(
-                "{what} is sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE"
+                "{what} must be sled:DIR, such as sled:sightline-data/state, or \
+                 postgres://USER@HOST/DATABASE"
             ))),
         }
     }
@@ -67,7 +73,7 @@ impl Opened {
     /// Opens the store in a directory.
     ///
     /// # Errors
-    /// When it cannot be opened, or somebody uses it.
+    /// [`Error`] if the store cannot be opened, or another process uses it.
     pub fn on_disk(directory: &Path) -> Result<Self, Error> {
         let store = SledStore::open(directory).map_err(|e| Error::input(e.to_string()))?;
         Ok(Self {
@@ -76,10 +82,10 @@ impl Opened {
         })
     }
 
-    /// Leads for as long as it takes, so that no coordinator changes anything.
+    /// Opens the store in a database. Leads until the store is closed, so that no coordinator changes it.
     fn in_database(address: &DatabaseAddress, what: &str) -> Result<Self, Error> {
         let input = |e: &dyn std::fmt::Display| Error::input(e.to_string());
-        // Nobody is to call it.
+        // The address is a placeholder, because no client should call this process.
         let replica = Replica::join(address, &default_name()?, "http://127.0.0.1:1")
             .map_err(|e| input(&e))?;
         let runtime = runtime()?;
@@ -95,7 +101,8 @@ impl Opened {
             Ok(Ok(Role::Ended(why))) => return Err(input(&why)),
             _ => {
                 return Err(Error::input(format!(
-                    "a coordinator uses the database of {what}; stop all that do, and try again"
+                    "a coordinator uses the database of {what}; stop all coordinators of this database, \
+                     and try again"
                 )));
             }
         };
@@ -105,7 +112,7 @@ impl Opened {
         })
     }
 
-    /// Lets others lead at once.
+    /// Closes the store, so that another coordinator can lead immediately.
     pub fn close(self) {
         drop(self.store);
         if let Some((replica, runtime)) = self.replica {
@@ -114,7 +121,7 @@ impl Opened {
     }
 }
 
-/// Gives a store the entries of another one.
+/// Imports the entries of another store into `store`, which must be empty, in batches.
 pub fn take_over(store: &dyn Store, entries: Vec<Entry>) -> Result<(), Error> {
     let mut entries = entries.into_iter();
     let mut first = true;

@@ -1,4 +1,4 @@
-//! `sightline token`: makes, lists and revokes the tokens of a coordinator, in the file that it reads.
+//! `sightline token`: creates, lists and revokes tokens in the token file of a coordinator.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::args::token::{TokenArgs, TokenCommand};
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Runs a command on the file of tokens.
+/// Creates, lists or revokes tokens in the token file.
 pub fn run(args: &TokenArgs, json: bool) -> Result<(), Error> {
     let input = |e: &dyn std::fmt::Display| Error::input(e.to_string());
     let path = &args.file;
@@ -30,7 +30,8 @@ pub fn run(args: &TokenArgs, json: bool) -> Result<(), Error> {
                 .map_err(|e| Error::usage(e.to_string()))?;
             file.write(path).map_err(|e| input(&e))?;
             say(&format!(
-                "a token of {user} for {}; it is shown this once: keep it in a file that nobody else reads",
+                "a token of {user} for {}; it is printed only once: store it in a file that only \
+                 its user can read",
                 listed(scopes)
             ));
             print(&text)
@@ -57,13 +58,13 @@ pub fn run(args: &TokenArgs, json: bool) -> Result<(), Error> {
             let mut file = read(path)?;
             if !file.revoke(id) {
                 return Err(Error::input(format!(
-                    "{}: has no token {id}; `sightline token list` shows the ids",
+                    "{} has no token {id}; `sightline token list` lists the ids",
                     path.display()
                 )));
             }
             file.write(path).map_err(|e| input(&e))?;
             say(
-                "revoked; coordinators refuse it within two seconds, calls that are under way go on",
+                "revoked the token; coordinators reject it within two seconds, and running calls continue",
             );
             Ok(())
         }

@@ -1,4 +1,4 @@
-//! `sightline worker`.
+//! `sightline worker`: runs a worker.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use sightline::tracers::{note_missing, selection};
 use sightline_coordinator::{ConnectionLimits, Connections, Listener, Probed};
 use sightline_model::TracerChoice;
 use sightline_trace::gpu::{AdapterChoice, adapters};
-use sightline_worker::{Backends, Moved, SceneCache, Stop, WorkerCounters, WorkerError};
+use sightline_worker::{Backends, SceneCache, Stop, TransferTotals, WorkerCounters, WorkerError};
 use tokio::sync::watch;
 
 use crate::args::serve::WorkerArgs;
@@ -19,7 +19,8 @@ use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Runs a worker. The first SIGTERM or Ctrl-C lets it finish its tiles, the second one stops it at once.
+/// Runs a worker. At the first SIGTERM or Ctrl-C, the worker finishes its tiles. At the second one, the
+/// worker stops immediately.
 pub fn run(args: &WorkerArgs) -> Result<(), Error> {
     let adapter = args
         .adapter
@@ -43,7 +44,7 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         traces: args.traces.options().start("sightline-worker", &name)?,
         name,
     };
-    let _sends_the_rest = config.traces.closing();
+    let _flush_guard = config.traces.flush_guard();
     use_threads(threads(args.threads))?;
     let runtime = runtime()?;
     let counters = Arc::clone(&config.counters);
@@ -74,7 +75,7 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
     ended
 }
 
-/// Serves what a worker tells of itself, as a coordinator does.
+/// Serves the metrics and the health of a worker.
 async fn watch_at(address: SocketAddr, counters: Arc<WorkerCounters>) -> Result<(), Error> {
     let connections = Connections::new(ConnectionLimits::of_process().map_err(Error::internal)?);
     let listener = Listener::bind(address, true, &connections).await;
@@ -88,7 +89,7 @@ async fn watch_at(address: SocketAddr, counters: Arc<WorkerCounters>) -> Result<
     Ok(())
 }
 
-/// A worker as who watches machines sees it.
+/// A worker that reports metrics and readiness.
 struct Watched(Arc<WorkerCounters>);
 
 impl Probed for Watched {
@@ -96,7 +97,7 @@ impl Probed for Watched {
         let mut text = format!(
             "# HELP sightline_worker_connected 1 while the coordinator knows this worker.\n\
              # TYPE sightline_worker_connected gauge\nsightline_worker_connected {}\n\
-             # HELP sightline_worker_tiles Tiles, by how they ended.\n\
+             # HELP sightline_worker_tiles Ended tiles, by outcome.\n\
              # TYPE sightline_worker_tiles counter\n",
             u8::from(self.0.is_connected())
         );
@@ -105,33 +106,34 @@ impl Probed for Watched {
                 "sightline_worker_tiles_total{{outcome=\"{outcome}\"}} {count}\n"
             ));
         }
-        let moved = self.0.transfers();
+        let transfers = self.0.transfers();
         text.push_str(
-            "# HELP sightline_worker_blobs Scenes, packs and outputs, by how they went.\n\
+            "# HELP sightline_worker_blobs Transferred scenes, packs and outputs, by direction and route.\n\
              # TYPE sightline_worker_blobs counter\n",
         );
-        for Moved {
+        for TransferTotals {
             direction,
-            way,
+            route,
             blobs,
             ..
-        } in &moved
+        } in &transfers
         {
-            let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
+            let labels = format!("{{direction=\"{direction}\",way=\"{route}\"}}");
             text.push_str(&format!("sightline_worker_blobs_total{labels} {blobs}\n"));
         }
         text.push_str(
-            "# HELP sightline_worker_blob_bytes Their bytes.\n# TYPE sightline_worker_blob_bytes counter\n\
+            "# HELP sightline_worker_blob_bytes Bytes of the transferred blobs.\n\
+             # TYPE sightline_worker_blob_bytes counter\n\
              # UNIT sightline_worker_blob_bytes bytes\n",
         );
-        for Moved {
+        for TransferTotals {
             direction,
-            way,
+            route,
             bytes,
             ..
-        } in &moved
+        } in &transfers
         {
-            let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
+            let labels = format!("{{direction=\"{direction}\",way=\"{route}\"}}");
             text.push_str(&format!(
                 "sightline_worker_blob_bytes_total{labels} {bytes}\n"
             ));
@@ -144,18 +146,18 @@ impl Probed for Watched {
         match self.0.is_connected() {
             true => Ok(()),
             false => Err(vec![
-                "no coordinator knows this worker at the moment".to_owned(),
+                "this worker is not registered at its coordinator".to_owned(),
             ]),
         }
     }
 }
 
-/// Refuses an `--adapter` that matches no adapter of this machine; the error lists the names.
+/// Checks that `--adapter` matches an adapter of this machine. The error lists the names of the adapters.
 fn check_adapter(args: &WorkerArgs) -> Result<(), Error> {
     let Some(part) = args
         .adapter
         .as_ref()
-        .filter(|_| args.backend != TracerChoice::Cpu)
+        .filter(|_| [TracerChoice::Auto, TracerChoice::Gpu].contains(&args.backend))
     else {
         return Ok(());
     };

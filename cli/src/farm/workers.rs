@@ -1,4 +1,4 @@
-//! `sightline workers`: the connected workers, and the quarantined ones.
+//! `sightline workers`: lists the connected and the quarantined workers.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::args::remote::{RemoteArgs, WorkersArgs};
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Lists the connected and the quarantined workers, or releases one.
+/// Lists the connected and the quarantined workers, or releases a quarantined one.
 pub fn run(args: &WorkersArgs, json: bool) -> Result<(), Error> {
     if let Some(worker) = &args.release {
         return release(&args.remote, worker, json);
@@ -27,7 +27,7 @@ pub fn run(args: &WorkersArgs, json: bool) -> Result<(), Error> {
     for worker in &quarantined {
         let since = millis(now_ms.saturating_sub(worker.since_ms));
         print(&format!(
-            "{} IS QUARANTINED since {since} ago: {}",
+            "{} IS QUARANTINED, for {since} so far: {}",
             worker.worker, worker.reason
         ))?;
     }
@@ -39,7 +39,7 @@ pub fn run(args: &WorkersArgs, json: bool) -> Result<(), Error> {
         .try_for_each(|w| print(&worker_line(w, now_ms)))
 }
 
-/// Lets a quarantined worker work again.
+/// Releases a worker from quarantine.
 fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), Error> {
     let was_quarantined = remote.client()?.release_worker(worker, &Terminal::new())?;
     if json {
@@ -47,14 +47,15 @@ fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), Error> {
     }
     if !was_quarantined {
         let text = format!(
-            "no worker named {worker} is quarantined; `sightline workers` lists those that are"
+            "no worker named {worker} is quarantined; `sightline workers` lists the quarantined \
+             workers"
         );
         return Err(Error::input(text));
     }
-    print(&format!("worker {worker} may work again"))
+    print(&format!("released worker {worker} from quarantine"))
 }
 
-/// Returns a duration of milliseconds in words.
+/// Formats a duration in milliseconds for display.
 fn millis(ms: u64) -> String {
     human(Duration::from_millis(ms))
 }
@@ -71,17 +72,17 @@ fn worker_line(w: &v1::WorkerInfo, now_ms: u64) -> String {
         does.push("idle".to_owned());
     }
     if w.draining {
-        does.push("takes no more tiles".to_owned());
+        does.push("accepts no more tiles".to_owned());
     }
     if !w.trouble.is_empty() {
-        does.push(format!("gets no tiles: {}", w.trouble));
+        does.push(format!("receives no tiles: {}", w.trouble));
     }
     let speed = match (w.samples_done, w.busy_millis) {
         (_, 0) => String::new(),
         (samples, ms) => format!(", {:.0} samples/s", samples as f64 * 1000.0 / ms as f64),
     };
     format!(
-        "{} ({}; {}): {}; {} tiles, {} cells{speed}; here for {}, last heard {} ago",
+        "{} ({}; {}): {}; {} tiles, {} cells{speed}; connected for {}, last message {} ago",
         w.name,
         w.version,
         w.profiles.join(", "),
@@ -98,7 +99,7 @@ fn held_text(held: &v1::HeldTile, now_ms: u64) -> String {
     let tile_name = format!("tile {} of job {}", held.tile, held.job);
     match held.has_begun {
         true => format!("{tile_name} for {since}, {} cells done", held.cells),
-        false => format!("waits with {tile_name} for {since}"),
+        false => format!("has leased {tile_name} for {since} and not started it"),
     }
 }
 
@@ -141,7 +142,7 @@ mod tests {
         worker.draining = true;
         let line = worker_line(&worker, 2000);
         assert!(
-            line.contains("tile 7 of job 3 for 2.0 s, 5 cells done; takes no more tiles"),
+            line.contains("tile 7 of job 3 for 2.0 s, 5 cells done; accepts no more tiles"),
             "{line}"
         );
     }

@@ -1,4 +1,4 @@
-//! `sightline cancel`, `pause`, `resume`, `retry` and `delete`: changes of a job's state.
+//! `sightline cancel`, `pause`, `resume`, `retry` and `delete`: change a job's state.
 
 use sightline::{Error, JobAction};
 
@@ -7,7 +7,7 @@ use crate::jobs::print::show_job;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Cancels, pauses, resumes, retries or deletes.
+/// Cancels, pauses, resumes, retries or deletes a job.
 pub fn run(args: &JobRefArgs, action: JobAction, json: bool) -> Result<(), Error> {
     let client = args.remote.client()?;
     let job = client.act(args.id, action, &Terminal::new())?;

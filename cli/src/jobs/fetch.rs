@@ -1,4 +1,4 @@
-//! `sightline fetch`: the result of a job.
+//! `sightline fetch`: downloads the result of a job.
 
 use sightline::Error;
 

@@ -1,4 +1,4 @@
-//! `sightline jobs`: the jobs of a coordinator.
+//! `sightline jobs`: lists the jobs of a coordinator.
 
 use sightline::{Error, JobFilter};
 
@@ -8,7 +8,7 @@ use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Lists jobs, ascending by number, and prints how to list the older ones.
+/// Lists jobs in ascending order of their numbers, and prints the command that lists the older ones.
 pub fn run(args: &JobsArgs, json: bool) -> Result<(), Error> {
     let filter = JobFilter {
         limit: (!args.all).then_some(args.limit),
@@ -26,7 +26,8 @@ pub fn run(args: &JobsArgs, json: bool) -> Result<(), Error> {
     if let Some(first) = list.jobs.first().filter(|_| list.has_older) {
         let id = first.id();
         say(&format!(
-            "there are older jobs: `sightline jobs --before {id}` lists them, --all lists all"
+            "the coordinator has older jobs: `sightline jobs --before {id}` lists these jobs, --all lists \
+             all jobs"
         ));
     }
     Ok(())

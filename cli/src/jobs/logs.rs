@@ -1,4 +1,4 @@
-//! `sightline logs`: the events of a job or of the whole farm.
+//! `sightline logs`: prints the events of a job or of the whole farm.
 
 use serde_json::{Value, json};
 use sightline::Error;
@@ -10,7 +10,7 @@ use crate::terminal::exit::unless_cancelled;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Prints what happened to a job or on the farm.
+/// Prints the events of a job or of the farm.
 pub fn run(args: &LogsArgs, json: bool) -> Result<(), Error> {
     let request = v1::EventsRequest {
         job: args.id,
@@ -64,7 +64,8 @@ fn event_value(e: &v1::Event) -> Value {
     })
 }
 
-/// Returns a time as UTC in the form of RFC 3339, from milliseconds since 1970. The date as in Hinnant 2021.
+/// Formats a time in milliseconds since 1970 as UTC, in the form of RFC 3339. The date is computed as in
+/// Hinnant 2021.
 fn time(unix_ms: u64) -> String {
     let (days, ms) = (unix_ms / 86_400_000, unix_ms % 86_400_000);
     let z = days + 719_468;
@@ -95,7 +96,7 @@ mod tests {
     #[test]
     fn time_formats_calendar_dates() {
         assert_eq!(time(0), "1970-01-01T00:00:00.000Z");
-        // date -u -d @951827696 and others
+        // The expected values are from `date -u -d @951827696` and similar commands.
         assert_eq!(time(951_827_696_000), "2000-02-29T12:34:56.000Z");
         assert_eq!(time(1_735_689_599_999), "2024-12-31T23:59:59.999Z");
         assert_eq!(time(1_772_323_200_000), "2026-03-01T00:00:00.000Z");

@@ -1,4 +1,4 @@
-//! What the commands of a client print about jobs.
+//! The output of client commands about jobs.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use crate::terminal::stdout::print;
 /// Prints a job with its specification.
 pub fn show_whole(job: &Job, json: bool) -> Result<(), Error> {
     let message = job.message();
-    // The names and defaults of the interface: what was submitted can be submitted again from it.
+    // The specification has the names and defaults of the interface, so that it can be submitted again.
     let spec = serde_json::to_value(&message.spec).map_err(Error::internal)?;
     if json {
         let mut value = job.to_json();
@@ -25,7 +25,7 @@ pub fn show_whole(job: &Job, json: bool) -> Result<(), Error> {
         let shown = |(name, field): (&String, &serde_json::Value)| format!("\n  {name}: {field}");
         fields.iter().map(shown).collect::<String>()
     });
-    let trace = TraceId::of_bytes(&message.trace).map(|trace| format!("\n  its trace is {trace}"));
+    let trace = TraceId::of_bytes(&message.trace).map(|trace| format!("\n  trace: {trace}"));
     print(&format!(
         "{}{}{}",
         listing(job),
@@ -34,7 +34,7 @@ pub fn show_whole(job: &Job, json: bool) -> Result<(), Error> {
     ))
 }
 
-/// A job in a line with its age and, while it runs, the time left.
+/// Returns a job in one line with its age and, while it runs, the remaining time.
 pub fn listing(job: &Job) -> String {
     let whole = line(job);
     let job = job.message();
@@ -53,20 +53,20 @@ pub fn listing(job: &Job) -> String {
     format!("{first}, {age}{}{rest}", left.unwrap_or_default())
 }
 
-/// How a job ended, after how long, and the next command. For a failed or cancelled job, the error at the end
-/// of the program gives the reason or the next command.
+/// Returns the final state and the duration of a job, and the next command. For a failed or cancelled job,
+/// the error at the end of the program contains the reason or the next command.
 pub fn ending(job: &Job) -> String {
     let (state, has_receivers) = (job.state_name(), job.has_receivers());
     let job = job.message();
     let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
     let next = match job.state() {
         v1::JobState::Done if has_receivers => {
-            format!("; its result has {} bytes", job.result_bytes)
+            format!("; the result has {} bytes", job.result_bytes)
         }
         v1::JobState::Done => {
             let bytes = job.result_bytes;
             format!(
-                "; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it",
+                "; the result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads the result",
                 job.id
             )
         }
@@ -89,7 +89,8 @@ pub fn show_job(job: &Job, json: bool) -> Result<(), Error> {
     })
 }
 
-/// A job in one line, a line for each tile at work, and one for each reason why workers cannot work on it.
+/// Returns a job in one line, followed by details. The details are a line per running tile, and a line per
+/// reason why workers cannot compute tiles of the job.
 pub fn line(job: &Job) -> String {
     let (state, noun) = (job.state_name(), job.cell_noun());
     let job = job.message();
@@ -101,7 +102,7 @@ pub fn line(job: &Job) -> String {
     // Only a job that has ended can be retried.
     let again = match job.state() {
         v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled => {
-            format!(" (`sightline retry {}` tries them again)", job.id)
+            format!(" (`sightline retry {}` computes these tiles again)", job.id)
         }
         _ => String::new(),
     };
@@ -129,10 +130,10 @@ pub fn line(job: &Job) -> String {
         .iter()
         .map(|t| format!("\n  {}", team_line(t)))
         .collect();
-    // Workers without a tile have nothing to do then, by design.
+    // In such a job, a worker without a tile is idle by design.
     let alone = job.spec.as_ref().is_some_and(has_single_workers);
     let alone = if alone && !job.teams.is_empty() {
-        "\n  its tiles have one worker each: time budgets, cubes and receivers are not shared"
+        "\n  each tile has one worker: workers do not share a tile with a time budget, cubes or receivers"
     } else {
         ""
     };
@@ -159,11 +160,12 @@ fn team_line(t: &v1::Team) -> String {
     let v1::Team { tile, leader, .. } = t;
     if !t.has_begun {
         return format!(
-            "tile {tile}: worker {leader} has it and has not begun (it prepares, or is busy)"
+            "tile {tile}: leased to worker {leader}, not started (the worker prepares, or computes \
+             another tile)"
         );
     }
     match &t.helpers[..] {
-        [] => format!("tile {tile}: worker {leader} computes it"),
+        [] => format!("tile {tile}: computed by worker {leader}"),
         helpers => format!(
             "tile {tile}: worker {leader} leads, helped by {}",
             helpers.join(", ")
@@ -178,7 +180,7 @@ fn unable_line(u: &v1::UnableWorkers) -> String {
     };
     let worker = if u.workers == 1 { "worker" } else { "workers" };
     format!(
-        "{worker} {}{more} cannot help: {}",
+        "{worker} {}{more} cannot compute tiles of the job: {}",
         u.names.join(", "),
         u.reason
     )
@@ -206,7 +208,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ending_of_a_job_names_its_state_its_time_and_the_next_command() {
+    fn ending_names_state_duration_and_next_command() {
         let mut job = v1::Job {
             id: 7,
             submitted_at_ms: 1000,

@@ -1,4 +1,4 @@
-//! `sightline priority`: another priority for a job.
+//! `sightline priority`: changes the priority of a job.
 
 use sightline::Error;
 

@@ -1,4 +1,4 @@
-//! `sightline show`: one job, or its tiles.
+//! `sightline show`: prints one job, or its tiles.
 
 use sightline::Error;
 
@@ -7,7 +7,7 @@ use crate::jobs::print::show_whole;
 use crate::jobs::tiles;
 use crate::terminal::progress::Terminal;
 
-/// Shows one job, or its tiles.
+/// Prints one job, or its tiles.
 pub fn run(args: &ShowArgs, json: bool) -> Result<(), Error> {
     if args.tiles {
         return tiles::show(&args.job.remote, args.job.id, json);

@@ -45,14 +45,17 @@ pub fn run(args: &SubmitArgs, json: bool) -> Result<(), Error> {
         .traces
         .options()
         .start("sightline-submit", &default_name()?)?;
-    let _sends_the_rest = traces.closing();
+    let _flush_guard = traces.flush_guard();
     let handle = client.submit_traced(&scene, &job, &submission, &traces, &terminal)?;
     let job = handle.job().message();
     if handle.is_existing() {
-        say(&format!("job {} does this already", job.id));
+        say(&format!(
+            "job {} does this already: it has the same scene and parameters",
+            job.id
+        ));
         if job.priority != args.priority && job.finished_at_ms == 0 {
             say(&format!(
-                "it has priority {}; `sightline priority {} {}` changes that",
+                "the existing job has priority {}; `sightline priority {} {}` changes the priority",
                 job.priority, job.id, args.priority
             ));
         }
@@ -66,12 +69,12 @@ pub fn run(args: &SubmitArgs, json: bool) -> Result<(), Error> {
 
 fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
     let cells = match e.cells {
-        0 => "cells that are divided as they are sampled".to_owned(),
+        0 => "cells of an adaptive tree, whose number is not known yet,".to_owned(),
         n => plural(n as usize, "cell"),
     };
     let upload = match upload {
-        0 => "the coordinator has the scene".to_owned(),
-        n => format!("{n} bytes of the scene, as it is sent, are to be uploaded"),
+        0 => "the coordinator already has the scene".to_owned(),
+        n => format!("the upload of the scene has {n} bytes"),
     };
     let mut lines = vec![format!(
         "{} in {}; {upload}",
@@ -80,14 +83,14 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
     )];
     if let Some(job) = &e.existing {
         lines.push(format!(
-            "job {} does this already; nothing would be computed again",
+            "job {} does this already; a submission would compute nothing again",
             job.id
         ));
     }
     lines.push(match &e.cost {
         Some(c) => format!(
-            "expected from {}, scaled by the number of cells: {} summed over its tiles ({} to {}), with as \
-             many helpers as there were then, and a result of {} bytes ({} to {})",
+            "expected from {}, scaled by the number of cells: {} of work summed over the tiles ({} to \
+             {}), with as many helpers as those jobs had, and a result of {} bytes ({} to {})",
             match (c.same_scene, c.jobs) {
                 (true, n) => format!("{} on this scene with this sampling", plural(n as usize, "job")),
                 (false, n) =>
@@ -100,12 +103,12 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
             c.least_bytes,
             c.most_bytes
         ),
-        None => "its cost is not known: no finished job here has the same method and sampler, or the number \
-                 of cells is not known before they are sampled"
+        None => "the cost of the job is not known: no finished job of this coordinator has the same \
+         method and sampler, or the job has an adaptive tree"
             .to_owned(),
     });
     lines.push(format!(
-        "{} connected, {} before it",
+        "{} connected, {} before this job",
         plural(e.workers as usize, "worker"),
         plural(e.jobs_before as usize, "open job")
     ));
@@ -158,7 +161,7 @@ mod tests {
         );
         assert!(
             text.contains("(1 to 3)")
-                && text.ends_with("3 workers connected, 1 open job before it")
+                && text.ends_with("3 workers connected, 1 open job before this job")
         );
         (e.cost, e.cells, e.existing) = (
             None,

@@ -1,4 +1,4 @@
-//! `sightline show --tiles`: the tiles of a job.
+//! `sightline show --tiles`: prints the tiles of a job.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use crate::terminal::exit::unless_cancelled;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Prints the tiles of a job, a line each.
+/// Prints the tiles of a job, one line per tile.
 pub fn show(remote: &RemoteArgs, job: u64, json: bool) -> Result<(), Error> {
     let mut show = |tiles: Vec<v1::TileInfo>| {
         let line = |t: &v1::TileInfo| match json {
@@ -65,7 +65,7 @@ fn tile_line(t: &v1::TileInfo) -> String {
         let _ = write!(line, ", {}", human(Duration::from_millis(t.millis)));
     }
     if t.conflicts > 0 {
-        let _ = write!(line, ", {} DIFFERENT RESULTS WERE REFUSED", t.conflicts);
+        let _ = write!(line, ", {} DIFFERENT OUTPUTS WERE REJECTED", t.conflicts);
     }
     for failure in &t.failures {
         let _ = write!(line, "\n  failed on {}: {}", failure.worker, failure.reason);

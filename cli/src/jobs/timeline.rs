@@ -1,7 +1,8 @@
-//! The time line of a job in the Trace Event Format of Chrome: complete events (`X`) for the time that a
-//! worker had a tile, instants (`i`) for what happened at one moment, and a row (`tid`) for each worker.
+//! The time line of a job in the Trace Event Format of Chrome.
 //!
-//! Source: "Trace Event Format", the Chromium project. Times are microseconds since the first event.
+//! The time for which a worker had a tile is a complete event (`X`), an event at one moment is an instant
+//! (`i`), and each worker has a row (`tid`). Source: "Trace Event Format", the Chromium project. Times are
+//! microseconds since the first event.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +10,19 @@ use serde_json::{Value, json};
 use sightline_proto::v1;
 use sightline_proto::v1::EventKind;
 
-/// The row of the job itself.
+/// The number (`tid`) of the row with the events of the job that name no worker.
 const JOB: u64 = 0;
 
-/// Events of a job, as they come.
+/// The time line of a job's events, in their order of arrival.
 #[derive(Debug, Default)]
 pub struct Timeline {
     out: Vec<Value>,
     first_ms: Option<u64>,
     last_ms: u64,
-    /// The rows of the workers, by name.
+    /// The number (`tid`) of each worker's row, by the worker's name.
     rows: BTreeMap<String, u64>,
-    /// When which worker got which tile.
+    /// The time at which each worker leased each open tile, in milliseconds since the first event. The key is
+    /// a tile number and a worker name.
     open: BTreeMap<(u32, String), u64>,
 }
 
@@ -28,7 +30,7 @@ impl Timeline {
     /// Adds the next event.
     pub fn add(&mut self, event: &v1::Event) {
         let first = *self.first_ms.get_or_insert(event.at_ms);
-        // The clock of a machine can be set back.
+        // The clock of a machine can be set back, so the difference is saturated.
         let at = event.at_ms.saturating_sub(first);
         self.last_ms = self.last_ms.max(at);
         let tile_and_worker = event.tile.map(|tile| (tile, event.worker.clone()));
@@ -44,7 +46,7 @@ impl Timeline {
                     .to_ascii_lowercase();
                 match self.open.remove(&tile_and_worker) {
                     Some(since) => self.complete(&tile_and_worker, since, at, &how, &event.text),
-                    // The lease is older than what the coordinator remembers.
+                    // The lease is older than the coordinator's event log.
                     None => self.instant(&tile_and_worker.1, at, event),
                 }
             }
@@ -60,10 +62,10 @@ impl Timeline {
         *self.rows.entry(worker.to_owned()).or_insert(next)
     }
 
-    fn complete(&mut self, of: &(u32, String), since: u64, at: u64, how: &str, text: &str) {
-        let row = self.row(&of.1);
+    fn complete(&mut self, tile_row: &(u32, String), since: u64, at: u64, how: &str, text: &str) {
+        let row = self.row(&tile_row.1);
         self.out.push(json!({
-            "name": format!("tile {}", of.0), "cat": how, "ph": "X", "ts": since * 1000,
+            "name": format!("tile {}", tile_row.0), "cat": how, "ph": "X", "ts": since * 1000,
             "dur": at.saturating_sub(since) * 1000, "pid": 1, "tid": row, "args": {"end": how, "text": text},
         }));
     }
@@ -81,10 +83,10 @@ impl Timeline {
         }));
     }
 
-    /// The whole, with tiles that are still at work up to the last event.
+    /// Returns the complete time line. Running tiles last until the last event.
     pub fn finish(mut self) -> Value {
-        for (of, since) in std::mem::take(&mut self.open) {
-            self.complete(&of, since, self.last_ms, "running", "");
+        for (key, since) in std::mem::take(&mut self.open) {
+            self.complete(&key, since, self.last_ms, "running", "");
         }
         let name = |row: u64, name: &str| {
             let args = json!({"name": name});
@@ -112,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_lasts_from_its_lease_to_its_end() {
+    fn tile_lasts_from_lease_to_end() {
         let mut line = Timeline::default();
         line.add(&event(1000, EventKind::Submitted, None, ""));
         line.add(&event(1010, EventKind::Leased, Some(3), "ada"));

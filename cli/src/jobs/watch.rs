@@ -1,4 +1,4 @@
-//! `sightline watch`: a job until it ends.
+//! `sightline watch`: follows a job until it ends.
 
 use sightline::Error;
 
@@ -7,7 +7,7 @@ use crate::jobs::print::{ending, show_job};
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 
-/// Follows a job until it ends, and prints how it ended.
+/// Follows a job until it ends, and prints its final state.
 pub fn run(args: &JobRefArgs, json: bool) -> Result<(), Error> {
     let (client, terminal) = (args.remote.client()?, Terminal::new());
     let mut handle = client.job(args.id, &terminal)?;

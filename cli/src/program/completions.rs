@@ -1,4 +1,4 @@
-//! `sightline completions`: the completions of the command line for a shell.
+//! `sightline completions`: prints the completions of the command line for a shell.
 
 use clap::CommandFactory as _;
 use sightline::Error;
@@ -7,7 +7,7 @@ use crate::args::cli::Cli;
 use crate::args::results::CompletionsArgs;
 use crate::terminal::stdout::print;
 
-/// Prints the completions for a shell.
+/// Prints the completion script of the shell in `args`.
 pub fn run(args: &CompletionsArgs) -> Result<(), Error> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "sightline", &mut script);

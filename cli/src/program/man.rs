@@ -1,4 +1,4 @@
-//! `sightline man`: the manual pages of all commands.
+//! `sightline man`: writes the manual pages of all commands.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::args::cli::Cli;
 use crate::args::results::ManArgs;
 use crate::terminal::stdout::print;
 
-/// Writes a page for each command.
+/// Writes a manual page for each command to the folder in `args`.
 pub fn run(args: &ManArgs) -> Result<(), Error> {
     let to = |e: &std::io::Error| Error::writing(&args.folder, e);
     std::fs::create_dir_all(&args.folder).map_err(|e| to(&e))?;
@@ -17,7 +17,7 @@ pub fn run(args: &ManArgs) -> Result<(), Error> {
     all.build();
     write_pages(all, &args.folder).map_err(|e| to(&e))?;
     print(&format!(
-        "wrote the manual pages to {}: man -l {0}/sightline.1",
+        "wrote the manual pages to {}; read the first page with: man -l {0}/sightline.1",
         args.folder.display()
     ))
 }

@@ -1,4 +1,5 @@
-//! `sightline sightlines`: exact visibility between pairs of polygons, one JSON line in, one JSON line out.
+//! `sightline sightlines`: decides the exact visibility between pairs of polygons, with one JSON line per
+//! query in input and output.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -11,8 +12,10 @@ use sightline::Error;
 use sightline::process::threads;
 use sightline::words::human;
 use sightline_certificate::checker;
-use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, polygon, predicates, sightlines};
-use sightline_scene::Scene;
+use sightline_exact::{
+    Occluders, Polygon, QueryCost, QueryLimits, Verdict, polygon, predicates, sightlines,
+};
+use sightline_scene::{Scene, TriangleId};
 
 use crate::args::cli::SightlinesArgs;
 use crate::scenes::read::scene;
@@ -37,17 +40,18 @@ struct SightlineQuery {
     b: Vec<Polygon>,
 }
 
-/// The blocking triangles of a scene for the checker.
+/// The triangles of a scene, as input of the checker.
 #[derive(Default)]
 struct Blocking {
     only: Vec<[glam::Vec3; 3]>,
-    /// All triangles by id, those that do not block without area, so that they form no occluder.
+    /// All triangles by id. A triangle that does not block has no area here, so that it cannot be an
+    /// occluder.
     by_id: Vec<[glam::Vec3; 3]>,
 }
 
 impl Blocking {
-    fn of(scene: &Scene) -> Self {
-        let blocks = |t: u32| scene.kinds().kind(t).blocks();
+    fn from_scene(scene: &Scene) -> Self {
+        let blocks = |t: u32| scene.kinds().kind(TriangleId(t)).blocks();
         let each = (0..).zip(scene.triangles());
         Self {
             only: each
@@ -62,13 +66,13 @@ impl Blocking {
     }
 }
 
-/// Totals of a run.
+/// Totals over all queries of a run.
 #[derive(Default)]
 struct Totals {
     visible: u64,
     hidden: u64,
     undecided: u64,
-    cost: Cost,
+    cost: QueryCost,
 }
 
 /// Answers every query of a file, in order.
@@ -83,24 +87,24 @@ pub fn run(args: &SightlinesArgs) -> Result<(), Error> {
     sightline::without_masks(&scene)?;
     let occluders = Occluders::new(&scene)?;
     let raw = if args.check {
-        Blocking::of(&scene)
+        Blocking::from_scene(&scene)
     } else {
         Blocking::default()
     };
-    let limits = Limits {
+    let limits = QueryLimits {
         regions: args.max_regions,
-        ..Limits::default()
+        ..QueryLimits::default()
     };
     let start = Instant::now();
     let progress = Terminal::new();
     let mut totals = Totals::default();
     let done = AtomicU64::new(0);
     let ended = loop {
-        // A bad line ends the run after all queries before it have been answered.
+        // A bad line ends the run, but only after all queries before it have been answered.
         let (queries, failure) = input.read(checked);
         let last = queries.is_empty();
         let total = input.lines;
-        let answers: Vec<Result<(Value, Verdict, Cost), Error>> = queries
+        let answers: Vec<Result<(Value, Verdict, QueryCost), Error>> = queries
             .into_par_iter()
             .map(|query| {
                 let answer = answer(&occluders, &query, &limits, &raw, args.check);
@@ -126,7 +130,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), Error> {
     };
     progress.end();
     if ended.is_err() {
-        say("only the queries before the bad line were answered:");
+        say("the command answered only the queries before the bad line:");
     }
     report(&totals, start.elapsed(), args.check);
     ended
@@ -153,18 +157,18 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
         100.0 * d.exact as f64 / all as f64,
     ));
     if totals.undecided > 0 {
-        say("a greater --max-regions may decide the undecided pairs");
+        say("a larger --max-regions may decide the undecided pairs");
     }
 }
 
-/// Answers one query; returns the answer as JSON, the verdict and its cost.
+/// Answers one query. Returns the answer as JSON, the verdict, and the cost.
 fn answer(
     scene: &Occluders,
     query: &SightlineQuery,
-    limits: &Limits,
+    limits: &QueryLimits,
     raw: &Blocking,
     check: bool,
-) -> Result<(Value, Verdict, Cost), Error> {
+) -> Result<(Value, Verdict, QueryCost), Error> {
     let start = Instant::now();
     let (verdict, cost) = sightlines(scene, &query.a, &query.b, limits);
     let micros = start.elapsed().as_micros() as u64;
@@ -186,8 +190,8 @@ fn answer(
         };
         refused.map_err(|e| {
             Error::internal(format!(
-                "query {}: the checker refuses the answer: {e}; this is a fault of the program, please \
-                 report it with the scene",
+                "query {}: the checker rejects the answer: {e}; this is a fault of the program, \
+                 please report it with the scene",
                 query.id
             ))
         })?;

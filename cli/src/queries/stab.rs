@@ -1,5 +1,5 @@
-//! `sightline stab`: whether a line passes through a sequence of polygons, one JSON line in, one JSON line
-//! out.
+//! `sightline stab`: decides if a line passes through a sequence of polygons, with one JSON line per query in
+//! input and output.
 
 use std::time::Instant;
 
@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use sightline::Error;
 use sightline::process::threads;
-use sightline_exact::{Limits, Polygon, Source, Stabbed, Surface, Swath, antipenumbra};
+use sightline_exact::{PointOrigin, Polygon, QueryLimits, Stabbed, Surface, Swath, antipenumbra};
 use sightline_exact::{polygon, predicates, stab};
 
 use crate::args::cli::StabArgs;
@@ -18,7 +18,7 @@ use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Most digits of a fraction's numerator and denominator.
+/// Maximum number of digits of a fraction's numerator and denominator.
 const MOST_DIGITS: usize = 80;
 
 /// One line of the input.
@@ -29,7 +29,7 @@ struct StabInput {
     portals: Vec<Vec<[Coordinate; 3]>>,
 }
 
-/// A number, or a fraction "p/q".
+/// A coordinate of a corner: a number, or a fraction "p/q".
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Coordinate {
@@ -51,13 +51,13 @@ pub fn run(args: &StabArgs) -> Result<(), Error> {
         "--queries",
         r#"{"id":1,"portals":[[[x,y,z],…],…]}"#,
     )?;
-    let limits = Limits {
+    let limits = QueryLimits {
         regions: args.max_regions,
-        ..Limits::default()
+        ..QueryLimits::default()
     };
     let mut counts = [0u64; 3];
     let ended = loop {
-        // A bad line ends the run after all queries before it have been answered.
+        // A bad line ends the run, but only after all queries before it have been answered.
         let (queries, failure) = input.read(check);
         let last = queries.is_empty();
         let answers: Vec<(usize, Value)> = queries
@@ -75,19 +75,19 @@ pub fn run(args: &StabArgs) -> Result<(), Error> {
         }
     };
     if ended.is_err() {
-        say("only the queries before the bad line were answered:");
+        say("the command answered only the queries before the bad line:");
     }
     let [stabbed, blocked, undecided] = counts;
     say(&format!(
         "{stabbed} stabbed, {blocked} blocked, {undecided} undecided"
     ));
     if undecided > 0 {
-        say("a greater --max-regions may decide the undecided sequences");
+        say("a larger --max-regions may decide the undecided sequences");
     }
     ended
 }
 
-fn answer(query: &StabQuery, limits: &Limits, with_swaths: bool) -> (usize, Value) {
+fn answer(query: &StabQuery, limits: &QueryLimits, with_swaths: bool) -> (usize, Value) {
     let start = Instant::now();
     let (found, _) = stab(&query.portals, limits, &|| false);
     let micros = start.elapsed().as_micros() as u64;
@@ -109,8 +109,8 @@ fn answer(query: &StabQuery, limits: &Limits, with_swaths: bool) -> (usize, Valu
     }
 }
 
-/// Adds the antipenumbra of a sequence, or why there is none.
-fn add_swaths(value: &mut Value, portals: &[Polygon], limits: &Limits) {
+/// Adds the antipenumbra of a sequence to its answer, or the reason why the antipenumbra is unknown.
+fn add_swaths(value: &mut Value, portals: &[Polygon], limits: &QueryLimits) {
     let start = Instant::now();
     let found = antipenumbra(portals, limits);
     value["swath_micros"] = (start.elapsed().as_micros() as u64).into();
@@ -135,10 +135,10 @@ fn add_swaths(value: &mut Value, portals: &[Polygon], limits: &Limits) {
     }
 }
 
-/// A line as numbers if their line stabs the polygons as well, else as fractions.
-fn shown(portals: &[Polygon], ends: &[Source; 2]) -> Value {
+/// Returns a line as numbers if the rounded line stabs the polygons as well, and otherwise as fractions.
+fn shown(portals: &[Polygon], ends: &[PointOrigin; 2]) -> Value {
     let near = ends.each_ref().map(polygon::rounded);
-    let given = near.map(Source::Given);
+    let given = near.map(PointOrigin::Given);
     let inside = |p: &Polygon| {
         let points = p.points();
         let n = points.len();
@@ -147,7 +147,7 @@ fn shown(portals: &[Polygon], ends: &[Source; 2]) -> Value {
             .collect();
         turns[0] != std::cmp::Ordering::Equal && turns.iter().all(|t| *t == turns[0])
     };
-    // The order of the polygons along a line does not change by rounding unless two of them meet.
+    // Rounding does not change the order of the polygons along a line unless two of them meet.
     if near.iter().all(|p| p.is_finite())
         && near[0] != near[1]
         && portals.iter().all(inside)
@@ -155,15 +155,15 @@ fn shown(portals: &[Polygon], ends: &[Source; 2]) -> Value {
     {
         return json!(near.map(|p| p.to_array()));
     }
-    let fractions = |p: &Source| {
+    let fractions = |p: &PointOrigin| {
         let [x, y, z, w] = predicates::integers(p);
         [x, y, z].map(|c| format!("{c}/{w}"))
     };
     json!(ends.each_ref().map(fractions))
 }
 
-/// Whether a line crosses the planes of the polygons in order.
-fn in_order(portals: &[Polygon], [p, q]: &[Source; 2]) -> bool {
+/// Returns true if the line through p and q crosses the planes of the polygons in the order of the list.
+fn in_order(portals: &[Polygon], [p, q]: &[PointOrigin; 2]) -> bool {
     let [a, b] = [p, q].map(predicates::integers);
     let places: Vec<(IBig, IBig)> = portals
         .iter()
@@ -185,7 +185,7 @@ fn in_order(portals: &[Polygon], [p, q]: &[Source; 2]) -> bool {
 
 fn check(line: StabInput) -> Result<StabQuery, String> {
     if line.portals.is_empty() {
-        return Err("it has no polygons; give at least one".to_owned());
+        return Err("the query has no polygons; give at least one polygon".to_owned());
     }
     let portals = line.portals.iter().enumerate().map(|(k, corners)| {
         let corners = corners.iter().map(point).collect::<Result<Vec<_>, _>>();
@@ -199,32 +199,33 @@ fn check(line: StabInput) -> Result<StabQuery, String> {
     })
 }
 
-fn point(corner: &[Coordinate; 3]) -> Result<Source, String> {
+fn point(corner: &[Coordinate; 3]) -> Result<PointOrigin, String> {
     let mut numbers = [0.0; 3];
     let mut all = true;
     for (number, c) in numbers.iter_mut().zip(corner) {
         match c {
-            // −0 and 0 are one coordinate.
+            // −0 and 0 are the same coordinate.
             Coordinate::Number(x) => *number = *x + 0.0,
             Coordinate::Fraction(_) => all = false,
         }
     }
     if all {
-        return Ok(Source::Given(DVec3::from(numbers)));
+        return Ok(PointOrigin::Given(DVec3::from(numbers)));
     }
-    // Over the product of the denominators.
+    // The numerators are over the product of the denominators.
     let mut parts = Vec::with_capacity(3);
     for c in corner {
         parts.push(match c {
             Coordinate::Number(x) => {
-                let [n, _, _, d] = predicates::integers(&Source::Given(DVec3::new(*x, 0.0, 0.0)));
+                let [n, _, _, d] =
+                    predicates::integers(&PointOrigin::Given(DVec3::new(*x, 0.0, 0.0)));
                 (n, d)
             }
             Coordinate::Fraction(text) => fraction(text)?,
         });
     }
     let [(x, a), (y, b), (z, c)] = [0, 1, 2].map(|i| parts[i].clone());
-    Ok(Source::Exact(Box::new([
+    Ok(PointOrigin::Exact(Box::new([
         x * &b * &c,
         y * &a * &c,
         z * &a * &b,
@@ -235,7 +236,8 @@ fn point(corner: &[Coordinate; 3]) -> Result<Source, String> {
 fn fraction(text: &str) -> Result<(IBig, IBig), String> {
     let bad = || {
         format!(
-            "{text:?} is no fraction; give two whole numbers of at most {MOST_DIGITS} digits, \"p/q\""
+            "{text:?} is not a fraction; give two whole numbers of at most {MOST_DIGITS} digits, \
+             \"p/q\""
         )
     };
     let (n, d) = text.split_once('/').unwrap_or((text, "1"));
@@ -248,7 +250,9 @@ fn fraction(text: &str) -> Result<(IBig, IBig), String> {
     };
     let (n, d) = number(n).zip(number(d)).ok_or_else(bad)?;
     if d.is_zero() {
-        return Err(format!("{text:?} has a denominator of 0"));
+        return Err(format!(
+            "{text:?} has a denominator of 0; give a denominator other than 0"
+        ));
     }
     Ok(if d < IBig::ZERO { (-n, -d) } else { (n, d) })
 }

@@ -1,16 +1,15 @@
-//! `sightline diff`: what came into the sets of a result and what went, against another result of the same
-//! cells.
+//! `sightline diff`: compares the sets of two results of the same cells.
 //!
-//! Sampled sets differ from run to run. A change is told from that by the bounds of `--max-error`: items that
-//! came and take more of the view than the older result may miss are a change, and so for those that went.
-//! Undecided items are none.
+//! Sampled sets differ from run to run. The bounds of `--max-error` separate this noise from changes: items
+//! of only the newer set are a change if they have a larger share of the view than the older result may miss,
+//! and vice versa. Undecided items are not a change.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
-use sightline::Error;
 use sightline::output::{Format, Output};
 use sightline::words::plural;
+use sightline::{CellIndex, Error};
 use sightline::{NamedResult, open};
 use sightline_pvs::{Granularity, Pvs, PvsError, runs};
 
@@ -22,26 +21,30 @@ use crate::terminal::printable;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Cells and objects that are listed.
+/// Maximum number of listed cells and objects.
 const LISTED: usize = 10;
 
 /// The change of one cell.
 struct Change {
-    cell: u32,
-    /// Items of only the newer set and of only the older one.
+    cell: CellIndex,
+    /// The items that only the newer set contains (`came`), and the items that only the older set contains
+    /// (`went`).
     came: Runs,
     went: Runs,
-    /// Those of them that the result which has them calls undecided.
+    /// The number of these items that are undecided in the result whose set contains them.
     undecided: usize,
-    /// The part of both sets' union that came or went.
+    /// The fraction of the union of both sets that only one set contains.
     fraction: f64,
-    /// The share of the view that came and that went, where both results have contributions.
+    /// The shares of the view of items of only the newer and of only the older set, if both results have
+    /// contributions.
     shares: Option<[f64; 2]>,
-    /// Whether sampling alone cannot explain it; `None` where nothing bounds what sampling misses.
+    /// True if the change is larger than sampling noise can explain. `None` if a result lacks contributions,
+    /// or a sampled result lacks a bound on missed items.
     is_beyond_noise: Option<bool>,
 }
 
-/// Ascending items as the boundaries of their runs: a few bytes of a result can stand for millions of items.
+/// Ascending items, stored as the boundaries of their runs, because a few bytes of a result can represent
+/// millions of items.
 #[derive(Default)]
 struct Runs(Vec<u32>);
 
@@ -64,7 +67,7 @@ impl Runs {
         Self(left)
     }
 
-    /// Returns the items of both.
+    /// Returns the items that both `self` and `other` contain.
     fn common(&self, other: &Self) -> Self {
         let [both] = runs::sweep([&self.0, &other.0], |m| u32::from(m == 3));
         Self(both)
@@ -75,14 +78,15 @@ impl Runs {
     }
 }
 
-/// How the items of two results are compared.
+/// The comparison of the items of two results.
 enum ComparedItems {
-    /// Triangles by number: both results are of one scene, or of scenes with the same objects.
+    /// Triangles are compared by number: both results are of one scene, or of scenes with the same objects.
     Triangles,
-    /// Objects by name: for each object of the older result the number of its name, and of the newer one.
+    /// Objects are compared by name. For each object of the older and of the newer result, `of` contains the
+    /// number of its name.
     Objects {
         names: Vec<String>,
-        of: [Vec<u32>; 2],
+        numbers: [Vec<u32>; 2],
     },
 }
 
@@ -136,15 +140,16 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
         };
         let cells: Vec<CellChange> = changed.iter().map(to_cell_change).collect();
         let about = format!(
-            "{} of {} changed: {came} {what} came and {went} went",
+            "{} of {} changed: {came} {what} gained and {went} lost",
             changed.len(),
             plural(reached, "cell")
         );
-        let pvs_and_scene = (newer, scene.transpose()?);
+        let scene = scene.transpose()?;
         diff_page::write(
             output,
             [&args.older, &args.newer],
-            (pvs_and_scene.0, pvs_and_scene.1.as_deref()),
+            newer,
+            scene.as_deref(),
             &cells,
             &about,
         )?;
@@ -181,7 +186,7 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
         };
         let bold = if args.markdown { "**" } else { "" };
         line(format!(
-            "{bold}{} of {} changed{bold}: {came} {what} came and {went} went, {:.3} % of the sets on \
+            "{bold}{} of {} changed{bold}: {came} {what} gained and {went} lost, {:.3} % of the sets on \
              average{}",
             changed.len(),
             plural(reached, "cell"),
@@ -194,26 +199,28 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
         let is_other =
             matches!(items, ComparedItems::Triangles) && older.granularity() != newer.granularity();
         line(match is_bounded {
-            true => format!("beyond what sampling may miss: {}", plural(beyond, "cell")),
+            true => format!("changed by more than sampling may miss: {}", plural(beyond, "cell")),
             false if misses_nothing(older) && misses_nothing(newer) => {
-                "both results miss nothing: what came or went, and is not undecided, is a change".to_owned()
+                "both results miss nothing: each gained or lost item that is not undecided is a \
+                 change".to_owned()
             }
             false if is_other => format!(
-                "the sets of the older result have {}, those of the newer one {}: triangles of an item that \
-                 is seen in part may come or go without a change; bake both with one --granularity",
+                "the sets of the older result contain {}, and the sets of the newer result {}: triangles \
+                 of a partly visible item may differ without a change; bake both results with the same \
+                 --granularity",
                 older.granularity().name(),
                 newer.granularity().name()
             ),
             false => {
-                "sampling alone may explain it: bake both with --max-error and --contributions to tell noise \
-                      from change, or exactly"
+                "sampling alone may explain the differences: to separate noise from changes, bake both \
+                 results with --max-error and --contributions, or with --method exact"
                     .to_owned()
             }
         });
         table(
             &mut out,
             args.markdown,
-            ["cell", "came", "went", "undecided", "of the sets"],
+            ["cell", "gained", "lost", "undecided", "of the sets"],
             &mut worst.iter().map(|c| {
                 [
                     c.cell.to_string(),
@@ -227,7 +234,7 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
         table(
             &mut out,
             args.markdown,
-            ["object", "came in cells", "went in cells"],
+            ["object", "gained in cells", "lost in cells"],
             &mut objects.iter().map(|(name, [came, went])| {
                 [
                     printable::name(name).into_owned(),
@@ -240,14 +247,15 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
     }
     match args.fail_above {
         Some(most) if fraction > most => Err(Error::different(format!(
-            "{:.6} of the sets changed on average, more than --fail-above {most}",
+            "the changed fraction of the sets is {:.6} on average over the cells, more than --fail-above \
+             {most}",
             fraction
         ))),
         _ => Ok(()),
     }
 }
 
-/// Refuses results whose cells differ.
+/// Returns an error if the cells of the two results differ.
 fn same_cells(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<(), Error> {
     let is_same = older.cells() == newer.cells()
         && (0..older.cells()).all(|cell| older.cell_bounds(cell) == newer.cell_bounds(cell));
@@ -255,13 +263,13 @@ fn same_cells(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<(), Error> {
         return Ok(());
     }
     Err(Error::input(format!(
-        "{} and {} have other cells; bake both with the same --cells and the same --view-box",
+        "{} and {} have different cells; bake both with the same --cells and the same --view-box",
         args.older.display(),
         args.newer.display()
     )))
 }
 
-/// How the items of both results are compared.
+/// Returns the comparison for the items of both results.
 fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<ComparedItems, Error> {
     let ranges = |pvs: &Pvs| -> Vec<(String, u32, u32)> {
         pvs.objects()
@@ -289,18 +297,18 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<ComparedItems, Err
             |o: &sightline_pvs::Object| names.binary_search(&o.name).map_or(0, |n| n as u32);
         pvs.objects().iter().map(number).collect()
     });
-    Ok(ComparedItems::Objects { names, of: numbers })
+    Ok(ComparedItems::Objects { names, numbers })
 }
 
-/// The changes of all cells with viewpoints in either result, in their order.
+/// Returns the changes of all cells with viewpoints in either result, in the order of the cells.
 fn changes(results: &[Pvs; 2], items: &ComparedItems) -> Result<Vec<Change>, Error> {
     let bounds = [
         info_cells::bounds_of_cells(&results[0])?,
         info_cells::bounds_of_cells(&results[1])?,
     ];
     let mut all = Vec::new();
-    for cell in 0..results[0].cells() {
-        if !results[0].is_reached(cell)? && !results[1].is_reached(cell)? {
+    for cell in (0..results[0].cells()).map(CellIndex) {
+        if !results[0].is_reached(cell.0)? && !results[1].is_reached(cell.0)? {
             continue;
         }
         let [a, older_open] = set(&results[0], items, 0, cell)?;
@@ -315,14 +323,14 @@ fn changes(results: &[Pvs; 2], items: &ComparedItems) -> Result<Vec<Change>, Err
                 .map(|(came, went)| [came, went]))
         };
         let shares = both(&came, &went)?;
-        // What is undecided may be there or not in any case.
+        // Undecided items may be visible or not, so they are not a certain change.
         let certain = both(&came.without(&newer_open), &went.without(&older_open))?;
-        // The older result may miss what came, and the newer one what went.
+        // The older result may have missed items of the newer set, and vice versa.
         let may_miss = [0, 1].map(|k| {
             if misses_nothing(&results[k]) {
                 Some(0.0)
             } else {
-                bounds[k][cell as usize]
+                bounds[k][cell.at()]
             }
         });
         let is_beyond_noise = match (certain, may_miss) {
@@ -343,22 +351,28 @@ fn changes(results: &[Pvs; 2], items: &ComparedItems) -> Result<Vec<Change>, Err
     Ok(all)
 }
 
-/// Whether the sets miss nothing: what the method has not decided is in them.
+/// Returns true if the sets contain every visible item, because the method is not aggressive and the sets
+/// contain undecided items.
 fn misses_nothing(pvs: &Pvs) -> bool {
     pvs.method() != "aggressive"
 }
 
-/// The set of a cell and its undecided part, as items that both results number alike.
-fn set(pvs: &Pvs, items: &ComparedItems, result: usize, cell: u32) -> Result<[Runs; 2], PvsError> {
+/// Returns the set of a cell and its undecided part, as items with the same numbers in both results.
+fn set(
+    pvs: &Pvs,
+    items: &ComparedItems,
+    result: usize,
+    cell: CellIndex,
+) -> Result<[Runs; 2], PvsError> {
     match items {
         ComparedItems::Triangles => Ok([
-            Runs(pvs.visible_bounds(cell)?),
-            Runs(pvs.undecided_bounds(cell)?),
+            Runs(pvs.visible_bounds(cell.0)?),
+            Runs(pvs.undecided_bounds(cell.0)?),
         ]),
-        ComparedItems::Objects { of, .. } => {
+        ComparedItems::Objects { numbers: of, .. } => {
             let (mut visible, mut undecided) = (Vec::new(), Vec::new());
-            pvs.visible_objects(cell, &mut visible)?;
-            pvs.undecided_objects(cell, &mut undecided)?;
+            pvs.visible_objects(cell.0, &mut visible)?;
+            pvs.undecided_objects(cell.0, &mut undecided)?;
             Ok([visible, undecided].map(|mut ids| {
                 ids.iter_mut().for_each(|id| *id = of[result][*id as usize]);
                 ids.sort_unstable();
@@ -368,35 +382,42 @@ fn set(pvs: &Pvs, items: &ComparedItems, result: usize, cell: u32) -> Result<[Ru
     }
 }
 
-/// The least share of the view that some items of a cell take together, on average over its viewpoints;
-/// `None` without contributions of such items.
-fn share(pvs: &Pvs, items: &ComparedItems, cell: u32, of: &Runs) -> Result<Option<f64>, Error> {
+/// Returns a lower bound on the share of the view, 0 to 1, that the items in `runs` cover together, as the
+/// mean over the cell's viewpoints. Returns `None` if the result has no contributions of such items.
+fn share(
+    pvs: &Pvs,
+    items: &ComparedItems,
+    cell: CellIndex,
+    runs: &Runs,
+) -> Result<Option<f64>, Error> {
     let is_one = matches!(
         (items, pvs.granularity()),
         (ComparedItems::Triangles, Granularity::Triangles)
     );
-    let Some(all) = pvs.contributions(cell)?.filter(|_| is_one) else {
+    let Some(all) = pvs.contributions(cell.0)?.filter(|_| is_one) else {
         return Ok(None);
     };
     let mut ids = Vec::new();
-    pvs.visible_items(cell, &mut ids)?;
-    // Contributions have a byte for each visible item, which is more than enough for these ids.
+    pvs.visible_items(cell.0, &mut ids)?;
+    // Contributions have a byte for each visible item, so these ids need no more memory.
     let shares = ids
         .iter()
         .zip(&all)
-        .filter(|(id, _)| of.has(**id))
+        .filter(|(id, _)| runs.has(**id))
         .map(|(_, c)| c.mean()[0]);
     Ok(Some(shares.sum()))
 }
 
-/// For each object, in how many cells something of it came or went; those in most cells first.
+/// Returns for each changed object two numbers of cells: the cells with a part of the object only in the
+/// newer set, and the cells with a part of the object only in the older set. Objects with the most cells come
+/// first.
 fn objects(
     results: &[Pvs; 2],
     items: &ComparedItems,
     changed: &[&Change],
 ) -> Vec<(String, [usize; 2])> {
-    let named = |result: usize, of: &Runs| -> BTreeSet<String> {
-        let each = of.0.chunks_exact(2);
+    let named = |result: usize, runs: &Runs| -> BTreeSet<String> {
+        let each = runs.0.chunks_exact(2);
         match items {
             ComparedItems::Objects { names, .. } => each
                 .flat_map(|run| run[0]..run[1])
@@ -418,11 +439,11 @@ fn objects(
     };
     let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
     for change in changed {
-        for (k, (result, of)) in [(1, &change.came), (0, &change.went)]
+        for (k, (result, runs)) in [(1, &change.came), (0, &change.went)]
             .into_iter()
             .enumerate()
         {
-            named(result, of)
+            named(result, runs)
                 .into_iter()
                 .for_each(|name| counts.entry(name).or_default()[k] += 1);
         }
@@ -432,7 +453,7 @@ fn objects(
     all
 }
 
-/// Appends a table of the first rows.
+/// Appends a table of the first [`LISTED`] rows to `out`, as Markdown or as aligned text.
 fn table<const N: usize>(
     out: &mut String,
     markdown: bool,
@@ -448,7 +469,7 @@ fn table<const N: usize>(
         let row = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
         out.push_str(&row(&head.map(str::to_owned)));
         out.push_str(&row(&head.map(|_| "--".to_owned())));
-        // A bar in a name would end its column.
+        // A bar in a name would end the column.
         rows.iter()
             .for_each(|cells| out.push_str(&row(&cells.clone().map(|c| c.replace('|', "\\|")))));
         return;

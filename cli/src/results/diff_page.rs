@@ -1,21 +1,22 @@
-//! The difference of two results in the viewer: the newer one, with heat maps of what came and went, at the
-//! cell with the greatest change.
+//! A page with the difference of two results in the viewer.
+//!
+//! The page shows the newer result with heat maps of the changes, at the cell with the largest change.
 
 use std::path::Path;
 
-use sightline::Error;
 use sightline::output::Output;
+use sightline::{CellIndex, Error};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_view::{Map, View, page};
 
-/// What came and went in a cell: its number, and how many items.
+/// The change of a cell's set: the numbers of items that only one of the two results contains.
 pub struct CellChange {
-    /// The cell.
-    pub cell: u32,
-    /// Items of the newer set alone.
+    /// The number of the cell.
+    pub cell: CellIndex,
+    /// The number of items of only the newer set.
     pub came: usize,
-    /// Items of the older one alone.
+    /// The number of items of only the older set.
     pub went: usize,
 }
 
@@ -23,26 +24,27 @@ pub struct CellChange {
 pub fn write(
     output: &Output,
     [older, newer]: [&Path; 2],
-    (pvs, scene): (&Pvs, Option<&Scene>),
+    pvs: &Pvs,
+    scene: Option<&Scene>,
     changes: &[CellChange],
     about: &str,
 ) -> Result<(), Error> {
-    let mut view = View::of(pvs, scene)?;
+    let mut view = View::new(pvs, scene)?;
     view.title = format!("{} after {}", newer.display(), older.display());
     about.clone_into(&mut view.about);
-    let map = |name: &str, of: &dyn Fn(&CellChange) -> usize| {
+    let map = |name: &str, value: &dyn Fn(&CellChange) -> usize| {
         let mut values = vec![0.0; pvs.cells() as usize];
         changes
             .iter()
-            .for_each(|change| values[change.cell as usize] = of(change) as f32);
+            .for_each(|change| values[change.cell.at()] = value(change) as f32);
         Map {
             name: name.to_owned(),
             values,
         }
     };
     let maps = [
-        map("came into the set", &|c| c.came),
-        map("went out of the set", &|c| c.went),
+        map("items gained", &|c| c.came),
+        map("items lost", &|c| c.went),
     ];
     view.maps
         .splice(0..0, maps.into_iter().filter(Map::says_something));

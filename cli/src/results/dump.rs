@@ -1,14 +1,14 @@
-//! `sightline dump`: the sets of a result as JSON Lines.
+//! `sightline dump`: prints the sets of a result as JSON Lines.
 //!
-//! A few bytes of a file can stand for millions of ids, so that the ids of a set are written as they are read
-//! from its runs.
+//! A few bytes of a file can represent millions of ids, so the ids of a set are printed directly from its
+//! runs.
 
 use std::io::{BufWriter, Write as _};
 
 use serde::{Serialize, Serializer};
 use serde_json::{Map, Value, json};
-use sightline::Error;
 use sightline::open;
+use sightline::{CellIndex, Error};
 use sightline_pvs::{Granularity, Pvs, PvsError, Relation, runs};
 
 use crate::args::cli::{DumpArgs, Items};
@@ -17,7 +17,7 @@ use crate::terminal::printable;
 
 /// Prints a result as JSON Lines: a header, then one line per cell.
 pub fn run(args: &DumpArgs) -> Result<(), Error> {
-    let summary = Summary::of(&args.result.result)?;
+    let summary = Summary::open(&args.result.result)?;
     let pvs = open(&args.result.result)?;
     check(&pvs, args)?;
     let mut out = BufWriter::new(std::io::stdout().lock());
@@ -38,7 +38,7 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
         printable::json(&mut out, &Head { fields, clusters })?;
         writeln!(out)?;
         let all = (0..pvs.cells()).filter(|cell| args.cell.is_empty() || args.cell.contains(cell));
-        for cell in all {
+        for cell in all.map(CellIndex) {
             let [visible, undecided] = sets(&pvs, cell, args.items)?;
             let [min, max] = corners(&pvs, cell);
             let to_json = |c: &sightline_pvs::Contribution| {
@@ -48,7 +48,7 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
             };
             let contributions = match args.contributions {
                 true => Some(
-                    pvs.contributions(cell)?
+                    pvs.contributions(cell.0)?
                         .unwrap_or_default()
                         .iter()
                         .map(to_json)
@@ -62,8 +62,8 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
                 max,
                 visible,
                 undecided,
-                set_aside: pvs.is_set_aside(cell)?.then_some(true),
-                reached: (!pvs.is_reached(cell)?).then_some(false),
+                set_aside: pvs.is_set_aside(cell.0)?.then_some(true),
+                reached: (!pvs.is_reached(cell.0)?).then_some(false),
                 contributions,
             };
             printable::json(&mut out, &line)?;
@@ -80,12 +80,12 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
     }
 }
 
-/// Refuses what the result does not hold.
+/// Checks that the result contains the requested cells, kind of items, and contributions.
 fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), Error> {
     let file = args.result.result.display();
     if let Some(cell) = args.cell.iter().find(|cell| **cell >= pvs.cells()) {
         return Err(Error::usage(format!(
-            "--cell {cell}: {file} has {} cells, from 0",
+            "--cell {cell} does not exist: {file} has {} cells, numbered from 0",
             pvs.cells()
         )));
     }
@@ -94,7 +94,7 @@ fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), Error> {
     }
     if args.items == Items::Clusters && pvs.granularity() != Granularity::Clusters {
         return Err(Error::input(format!(
-            "{file}: its sets name {}, not clusters; bake with --granularity clusters",
+            "the sets of {file} contain {}, not clusters; bake with --granularity clusters",
             pvs.granularity().name()
         )));
     }
@@ -106,7 +106,7 @@ fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), Error> {
     if args.contributions && args.items.name() != pvs.granularity().name() {
         let name = pvs.granularity().name();
         return Err(Error::input(format!(
-            "{file}: its contributions are those of {name}; dump them with --items {name}, or bake with \
+            "{file} has contributions only for {name}; dump them with --items {name}, or bake with \
              --granularity {}",
             args.items.name()
         )));
@@ -122,7 +122,7 @@ enum Dumping {
     Pvs(#[from] PvsError),
 }
 
-/// The first line: the description of the result, and the triangles of its clusters.
+/// The first line of the output: the description of the result, and the triangles of its clusters.
 #[derive(Serialize)]
 struct Head<'a> {
     #[serde(flatten)]
@@ -140,10 +140,10 @@ impl Serialize for Clusters<'_> {
     }
 }
 
-/// The line of a cell.
+/// The line of a cell in the output.
 #[derive(Serialize)]
 struct CellLine {
-    cell: u32,
+    cell: CellIndex,
     min: [f64; 3],
     max: [f64; 3],
     visible: Ids,
@@ -156,14 +156,14 @@ struct CellLine {
     contributions: Option<Vec<Value>>,
 }
 
-/// Returns the corners of a cell as JSON has them: as doubles, in which single precision has all its digits.
-pub fn corners(pvs: &Pvs, cell: u32) -> [[f64; 3]; 2] {
-    pvs.cell_bounds(cell)
+/// Returns the corners of a cell as doubles, so that JSON keeps all digits of the single-precision values.
+pub fn corners(pvs: &Pvs, cell: CellIndex) -> [[f64; 3]; 2] {
+    pvs.cell_bounds(cell.0)
         .unwrap_or_default()
         .map(|corner| corner.map(f64::from))
 }
 
-/// Ascending ids, kept as the boundaries of their runs.
+/// Ascending ids, stored as the boundaries of their runs.
 pub struct Ids(Vec<u32>);
 
 impl Ids {
@@ -187,28 +187,28 @@ impl Serialize for Ids {
     }
 }
 
-/// Reads the visible and the undecided set of a cell, of items of a kind.
-pub fn sets(pvs: &Pvs, cell: u32, items: Items) -> Result<[Ids; 2], PvsError> {
+/// Reads the visible and the undecided set of a cell. `items` is the kind of the returned ids.
+pub fn sets(pvs: &Pvs, cell: CellIndex, items: Items) -> Result<[Ids; 2], PvsError> {
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     match items {
         Items::Triangles => {
             return Ok([
-                Ids(pvs.visible_bounds(cell)?),
-                Ids(pvs.undecided_bounds(cell)?),
+                Ids(pvs.visible_bounds(cell.0)?),
+                Ids(pvs.undecided_bounds(cell.0)?),
             ]);
         }
         Items::Objects => {
-            pvs.visible_objects(cell, &mut visible)?;
-            pvs.undecided_objects(cell, &mut undecided)?;
+            pvs.visible_objects(cell.0, &mut visible)?;
+            pvs.undecided_objects(cell.0, &mut undecided)?;
         }
         Items::Clusters => {
-            pvs.visible_items(cell, &mut visible)?;
-            pvs.undecided_items(cell, &mut undecided)?;
+            pvs.visible_items(cell.0, &mut visible)?;
+            pvs.undecided_items(cell.0, &mut undecided)?;
         }
         Items::Cells => {
             let pairs = pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?;
-            visible = pairs.visible.partners(cell).collect();
-            let open = |u: &Relation| u.partners(cell).collect();
+            visible = pairs.visible.partners(cell.0).collect();
+            let open = |u: &Relation| u.partners(cell.0).collect();
             undecided = pairs.undecided.as_ref().map_or_else(Vec::new, open);
         }
     }

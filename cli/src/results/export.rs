@@ -1,20 +1,22 @@
-//! `sightline export`: the sets of a result for engines and tables: lists of objects for each cell as one
-//! JSON document or as CSV, and a manifest for streaming with each cell's neighbours.
+//! `sightline export`: writes the sets of a result for engines and tables.
+//!
+//! The output contains lists of objects for each cell as one JSON document or as CSV, or a manifest for
+//! streaming with each cell's neighbours.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 
 use serde_json::{Value, json};
-use sightline::Error;
 use sightline::open;
 use sightline::output::{Format, Output};
+use sightline::{CellIndex, Error};
 use sightline_pvs::Pvs;
 
 use crate::args::results::{ExportArgs, ExportFormat};
 use crate::results::export_gltf;
 use crate::terminal::stdout::print;
 
-/// Writes a result in another form.
+/// Exports a result.
 pub fn run(args: &ExportArgs, json: bool) -> Result<(), Error> {
     let pvs = match (args.format, &args.scene) {
         (ExportFormat::Gltf, Some(scene)) => {
@@ -23,11 +25,12 @@ pub fn run(args: &ExportArgs, json: bool) -> Result<(), Error> {
             pvs
         }
         (ExportFormat::Gltf, None) => {
-            let why = "--format gltf writes the scene again; name it with --scene LEVEL.glb";
+            let why = "--format gltf writes a copy of the scene's file; give the file with --scene \
+             LEVEL.glb";
             return Err(Error::usage(why.to_owned()));
         }
         (_, Some(_)) => {
-            let why = "only --format gltf needs the scene; leave out --scene";
+            let why = "only --format gltf needs the scene; omit --scene";
             return Err(Error::usage(why.to_owned()));
         }
         _ => write(args)?,
@@ -44,7 +47,7 @@ pub fn run(args: &ExportArgs, json: bool) -> Result<(), Error> {
     })
 }
 
-/// Writes the lists alone.
+/// Writes the lists as JSON, as a manifest or as CSV, and returns the result.
 fn write(args: &ExportArgs) -> Result<Pvs, Error> {
     let format = if args.format == ExportFormat::Csv {
         Format::Csv
@@ -64,7 +67,7 @@ fn write(args: &ExportArgs) -> Result<Pvs, Error> {
     Ok(pvs)
 }
 
-/// The scene's objects, with their places in a glTF file where they are known.
+/// Returns the scene's objects as JSON, with their nodes and meshes in a glTF file if these are known.
 fn objects(pvs: &Pvs) -> Vec<Value> {
     let object = |o: &sightline_pvs::Object| {
         let mut value = json!({"name": o.name, "first": o.first, "count": o.count});
@@ -80,22 +83,22 @@ fn objects(pvs: &Pvs) -> Vec<Value> {
     pvs.objects().iter().map(object).collect()
 }
 
-/// A cell with its box and its objects; `None` for one without viewpoints.
-fn cell(pvs: &Pvs, number: u32) -> Result<Option<Value>, Error> {
-    if !pvs.is_reached(number)? {
+/// Returns a cell with its box and its objects, or `None` if the cell has no viewpoints.
+fn cell(pvs: &Pvs, number: CellIndex) -> Result<Option<Value>, Error> {
+    if !pvs.is_reached(number.0)? {
         return Ok(None);
     }
     let mut ids = Vec::new();
-    pvs.visible_objects(number, &mut ids)?;
-    let [min, max] = pvs.cell_bounds(number).unwrap_or_default();
+    pvs.visible_objects(number.0, &mut ids)?;
+    let [min, max] = pvs.cell_bounds(number.0).unwrap_or_default();
     Ok(Some(
         json!({"cell": number, "min": min, "max": max, "objects": ids}),
     ))
 }
 
-/// Lists of objects by cell, beside the scene's file.
+/// Returns the lists of objects by cell, as a document that accompanies the scene's file.
 fn sidecar(pvs: &Pvs) -> Result<Value, Error> {
-    let cells = (0..pvs.cells()).filter_map(|number| cell(pvs, number).transpose());
+    let cells = (0..pvs.cells()).filter_map(|number| cell(pvs, CellIndex(number)).transpose());
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let up = &info["spec"]["visibility"]["up"];
     Ok(json!({
@@ -105,7 +108,7 @@ fn sidecar(pvs: &Pvs) -> Result<Value, Error> {
     }))
 }
 
-/// What to load in each cell, and what next.
+/// Returns the manifest: the objects of each cell, and the neighbouring cells to load next.
 fn manifest(pvs: &Pvs) -> Result<Value, Error> {
     let bounds: Vec<[[f32; 3]; 2]> = (0..pvs.cells())
         .map(|number| pvs.cell_bounds(number).unwrap_or_default())
@@ -120,12 +123,12 @@ fn manifest(pvs: &Pvs) -> Result<Value, Error> {
     let mut cells = Vec::new();
     let mut items = Vec::new();
     for number in &reached {
-        let Some(mut value) = cell(pvs, *number)? else {
+        let Some(mut value) = cell(pvs, CellIndex(*number))? else {
             continue;
         };
         value["triangles"] = pvs.visible_count(*number)?.into();
         value["neighbours"] = neighbours[*number as usize].iter().copied().collect();
-        // The least share of the view of each object, where the bake measured objects.
+        // The lower bound of each object's share of the view, if the bake measured objects.
         if pvs.granularity() == sightline_pvs::Granularity::Objects
             && let Some(all) = pvs.contributions(*number)?
         {
@@ -142,11 +145,12 @@ fn manifest(pvs: &Pvs) -> Result<Value, Error> {
     }))
 }
 
-/// For each box the others that share a part of a face with an area, among the `reached` ones.
+/// Returns for each box of `bounds`, by its index, the indices of the neighbours: other boxes of `reached`
+/// that share a part of a face with a positive area. A box that `reached` does not contain has no neighbours.
 fn neighbours(bounds: &[[[f32; 3]; 2]], reached: &[u32]) -> Vec<BTreeSet<u32>> {
     let mut all = vec![BTreeSet::new(); bounds.len()];
     for axis in 0..3 {
-        // The boxes that begin at each plane.
+        // The boxes that start at each plane.
         let mut from: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         for number in reached {
             from.entry(bounds[*number as usize][0][axis].to_bits())
@@ -169,7 +173,7 @@ fn neighbours(bounds: &[[[f32; 3]; 2]], reached: &[u32]) -> Vec<BTreeSet<u32>> {
     all
 }
 
-/// A line for each pair of a cell and an object in its set.
+/// Writes a CSV line for each pair of a cell and an object in its set.
 fn csv(pvs: &Pvs, out: &mut dyn Write, to: &dyn Fn(std::io::Error) -> Error) -> Result<(), Error> {
     writeln!(out, "cell,object,name").map_err(to)?;
     let mut ids = Vec::new();
@@ -189,7 +193,7 @@ fn csv(pvs: &Pvs, out: &mut dyn Write, to: &dyn Fn(std::io::Error) -> Error) -> 
     Ok(())
 }
 
-/// A field of CSV (RFC 4180).
+/// Formats a field of CSV (RFC 4180).
 fn quoted(name: &str) -> String {
     if name.contains(['"', ',', '\n', '\r']) {
         format!("\"{}\"", name.replace('"', "\"\""))
@@ -203,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn boxes_that_share_an_edge_are_no_neighbours() {
+    fn boxes_with_common_edge_are_not_neighbours() {
         let unit_box_at = |x: f32, y: f32| [[x, y, 0.0], [x + 1.0, y + 1.0, 1.0]];
         let all = [
             unit_box_at(0.0, 0.0),
@@ -220,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_fields() {
+    fn names_are_quoted_as_csv_fields() {
         assert_eq!(quoted("a \"b\", c"), "\"a \"\"b\"\", c\"");
         assert_eq!(quoted("plain name"), "plain name");
     }

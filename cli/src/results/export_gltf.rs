@@ -1,4 +1,4 @@
-//! `sightline export --format gltf`: the scene's own glTF file with the extension SIGHTLINE_visibility
+//! `sightline export --format gltf`: writes the scene's glTF file with the extension SIGHTLINE_visibility
 //! (`docs/formats/SIGHTLINE_visibility.md`).
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use sightline::NamedResult;
 use sightline::output::{Format, Output};
 use sightline_formats::gltf_edit::{Added, GltfError, GltfFile};
 use sightline_pvs::Pvs;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 
 use crate::args::kinds::KindArgs;
 use crate::scenes::read::scene_of;
@@ -17,7 +17,8 @@ use crate::scenes::read::scene_of;
 /// The extension's name.
 const NAME: &str = "SIGHTLINE_visibility";
 
-/// The lists go to buffer views when these take at most one byte for so many of JSON, and save so many.
+/// Minimum ratio of the size of the lists in JSON to their size in buffer views for the use of buffer views.
+/// Buffer views must also save at least `SAVED` bytes.
 const SMALLER: usize = 2;
 const SAVED: usize = 4096;
 
@@ -32,13 +33,13 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
     )?;
     if scene.sources().is_empty() {
         return Err(of_scene(
-            &"it is no glTF or GLB; use --format sidecar, or bake from a glTF file",
+            &"the scene is not a glTF or GLB file; use --format sidecar, or bake from a glTF file",
         ));
     }
     if pvs.objects().iter().any(|object| object.source.is_none()) {
         return Err(Error::input(format!(
-            "{} does not say where its objects are in the glTF file, like results of earlier versions; bake \
-             again",
+            "{} does not store the glTF nodes and meshes of its objects, because an earlier version baked \
+             it; bake the scene again",
             result.display()
         )));
     }
@@ -54,7 +55,7 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
         .is_some_and(|e| e.eq_ignore_ascii_case(format.extension()))
     {
         return Err(Error::usage(format!(
-            "{} would be a file like {}; give -o a name that ends in .{}",
+            "{} must have the file type of {}; give -o a name that ends in .{}",
             path.display(),
             scene_path.display(),
             format.extension()
@@ -65,11 +66,12 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
         && folder(path) != folder(scene_path)
     {
         return Err(Error::usage(format!(
-            "{} needs {uri} beside it; give -o a file in the same folder, or use a GLB that holds everything",
+            "{} refers to the file {uri} in its folder; give -o a file in the same folder, or use a GLB \
+             file without external files",
             scene_path.display()
         )));
     }
-    let lists = Lists::of(pvs, &scene)?;
+    let lists = Lists::from_result(pvs, &scene)?;
     let packed = lists.packed();
     let in_json = lists.in_json();
     let (size, of_json) = (packed.size(), in_json.to_string().len());
@@ -107,7 +109,7 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
     })
 }
 
-/// The folder of a file, as the system names it.
+/// Returns the canonical folder of a file.
 fn folder(path: &Path) -> Option<std::path::PathBuf> {
     let folder = path
         .parent()
@@ -116,20 +118,20 @@ fn folder(path: &Path) -> Option<std::path::PathBuf> {
     std::fs::canonicalize(folder).ok()
 }
 
-/// What the extension says.
+/// The contents of the extension.
 struct Lists {
-    /// The objects that sets decide on, by their places in the file.
+    /// The objects that the sets can contain, by their nodes and meshes in the file.
     objects: Vec<Value>,
-    /// The box of each cell with viewpoints, and its objects as indices of `objects`.
+    /// The box of each cell with viewpoints, and the cell's objects as indices of `objects`.
     cells: Vec<([[f32; 3]; 2], Vec<u32>)>,
 }
 
 impl Lists {
-    fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, Error> {
-        // What moves, only blocks, or is of points and lines is in no set, which does not say that it is
-        // hidden.
-        let shows =
-            |first: u32, count: u32| (first..first + count).any(|t| scene.kinds().kind(t).shows());
+    fn from_result(pvs: &Pvs, scene: &Scene) -> Result<Self, Error> {
+        // Moving objects, occluders, points and lines are in no set. This does not mean that they are hidden.
+        let shows = |first: u32, count: u32| {
+            (first..first + count).any(|t| scene.kinds().kind(TriangleId(t)).shows())
+        };
         let mut objects = Vec::new();
         let mut numbers = Vec::with_capacity(pvs.objects().len());
         for object in pvs.objects() {
@@ -161,26 +163,26 @@ impl Lists {
     }
 
     fn in_json(&self) -> Value {
-        let cell = |(of, ids): &([[f32; 3]; 2], Vec<u32>)| {
+        let cell = |(bounds, ids): &([[f32; 3]; 2], Vec<u32>)| {
             json!({
-                "min": of[0], "max": of[1], "objects": ids
+                "min": bounds[0], "max": bounds[1], "objects": ids
             })
         };
         self.cells.iter().map(cell).collect()
     }
 
-    /// Whether two bytes suffice for an object.
+    /// Returns true if an object's index fits two bytes.
     fn is_short(&self) -> bool {
         self.objects.len() <= 1 << 16
     }
 
-    /// The same as three buffer views: boxes, where each list ends, and the lists one after the other.
+    /// Returns the lists as three buffer views: the boxes, the end of each list, and the concatenated lists.
     fn packed(&self) -> Added {
         let mut added = Added::default();
         added.push(
             self.cells
                 .iter()
-                .flat_map(|(of, _)| of.as_flattened())
+                .flat_map(|(bounds, _)| bounds.as_flattened())
                 .flat_map(|x| x.to_le_bytes()),
         );
         let ends = self.cells.iter().scan(0u32, |end, (_, ids)| {

@@ -1,4 +1,4 @@
-//! `sightline info`: the summary of a result.
+//! `sightline info`: prints the summary of a result.
 
 use std::path::Path;
 
@@ -15,9 +15,9 @@ use crate::results::info_cells;
 use crate::terminal::printable;
 use crate::terminal::stdout::print;
 
-/// The version of what `info` and `dump` print.
+/// The version of the output of `info` and `dump`.
 const DUMP_VERSION: u32 = 1;
-/// Objects listed by `info` without --json.
+/// The number of objects that `info` lists without --json.
 const OBJECTS_SHOWN: usize = 20;
 
 /// The summary of a result that `info` and the end of a bake print.
@@ -28,12 +28,12 @@ pub struct Summary {
     pub method: String,
     pub triangles: u32,
     pub objects: usize,
-    /// What the sets name: triangles, clusters or objects.
+    /// The kind of the items in the sets: triangles, clusters or objects.
     granularity: &'static str,
-    /// How many there are.
+    /// The number of items.
     pub items: u32,
     pub cells: u32,
-    /// Cells in which viewpoints can be. Only these count in means.
+    /// The number of cells in which viewpoints can be. Only these cells count in means.
     cells_reached: u32,
     pub view_box: serde_json::Value,
     file_bytes: u64,
@@ -45,43 +45,46 @@ pub struct Summary {
     mean_visible_fraction: f64,
     undecided: u64,
     cells_set_aside: u32,
-    /// Cells with a bound on their missed sight lines, at 95 % confidence; then the greatest and the mean
-    /// bound.
+    /// The number of cells with a bound on the fraction of their missed sight lines, at 95 % confidence. The
+    /// next two fields are the largest and the mean of these bounds.
     cells_bounded: usize,
     greatest_bound: Option<f64>,
     mean_bound: Option<f64>,
-    /// Cells whose sampling ended, by time or rounds, before they reached their target.
+    /// The number of cells whose sampling ended, by the time budget or the maximum number of rounds, before
+    /// they reached their target error.
     cells_unfinished: usize,
-    /// Cells with a per-cell tolerance above the target error, because they took far more work than others.
+    /// The number of cells with a per-cell tolerance above the target error, because they took far more work
+    /// than others.
     cells_spared: usize,
-    /// Which cells see which; `None` when the result does not say.
+    /// The cell-to-cell visibility. `None` if the result does not contain it.
     cell_to_cell: Option<CellToCell>,
-    /// What exact queries decided; `None` for the method aggressive.
+    /// The decisions of exact queries. `None` for the method aggressive.
     decided: Option<info_cells::Decided>,
-    /// Cells of an adaptive tree that see more triangles than its budget; `None` for a grid.
+    /// The number of cells of an adaptive tree that see more triangles than its budget. `None` for a grid.
     cells_over_budget: Option<usize>,
     pub info: serde_json::Value,
-    /// Whether walls enclose all viewpoints.
+    /// True if walls enclose all viewpoints.
     in_region: bool,
 }
 
-/// How many cells see which.
+/// The amount of cell-to-cell visibility.
 #[derive(Serialize)]
 struct CellToCell {
-    /// Pairs of different cells that see each other, the undecided ones included.
+    /// The number of pairs of different cells that see each other, including the undecided ones.
     pairs: u64,
-    /// Their part of all pairs of different cells of which one at least is reached.
+    /// The number of these pairs, divided by the number of all pairs of different cells of which at least one
+    /// is reached.
     density: f64,
     undecided: u64,
     bytes: u64,
-    /// The greatest and the mean bound, at 95 %, on the fraction of sight lines from a cell that cross a cell
-    /// which is no pair with it.
+    /// The largest and the mean bound on a cell's missed pairs, at 95 % confidence. A bound is the fraction
+    /// of the cell's sight lines that cross a cell which forms no pair with it.
     greatest_bound: Option<f64>,
     mean_bound: Option<f64>,
 }
 
 impl CellToCell {
-    fn of(pvs: &Pvs) -> Result<Option<Self>, Error> {
+    fn from_result(pvs: &Pvs) -> Result<Option<Self>, Error> {
         let Some(found) = pvs.cell_pairs()? else {
             return Ok(None);
         };
@@ -110,34 +113,35 @@ impl CellToCell {
     }
 }
 
-/// A set with more than this fraction of the triangles hides little.
+/// The mean fraction of the scene's triangles in a set above which the summary states that walls hide little.
 const MUCH: f64 = 0.5;
 
 impl Summary {
-    /// Whether exact queries took part.
+    /// Returns true if exact queries contributed to the sets.
     pub fn is_decided(&self) -> bool {
         self.decided.is_some()
     }
 
-    /// Whether the sets are what portals do not hide.
+    /// Returns true if portals computed the sets.
     fn by_portals(&self) -> bool {
         self.method == "portals"
     }
 
-    /// Whether no triangle is seen from any cell.
+    /// Returns true if no triangle is visible from any cell.
     pub fn sees_nothing(&self) -> bool {
         self.max_visible == 0
     }
 
     /// Reads the result at `path`.
-    pub fn of(path: &Path) -> Result<Self, Error> {
+    pub fn open(path: &Path) -> Result<Self, Error> {
         let pvs = open(path)?;
-        // Another program may have written the result, so its parameters may be anything.
+        // Another program may have written the result, so its parameters can have any form.
         let info: serde_json::Value =
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
         let budget =
             find_field(&info["spec"], "triangle_budget").and_then(serde_json::Value::as_u64);
-        // Collected before the error is taken, so that the first damaged cell is reported on every run.
+        // The sets are collected before an error is returned, so that every run reports the first damaged
+        // cell.
         let sets: Vec<Result<(u64, u64, bool, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
             .map(|cell| {
@@ -152,7 +156,7 @@ impl Summary {
             })
             .collect();
         let sets: Vec<(u64, u64, bool, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
-        // Cells without viewpoints count in nothing.
+        // Cells without viewpoints do not count.
         let sets: Vec<(u64, u64, bool)> = sets
             .into_iter()
             .filter(|s| s.3)
@@ -161,7 +165,7 @@ impl Summary {
         let sizes: Vec<u64> = sets.iter().map(|s| s.0).collect();
         let undecided: u64 = sets.iter().map(|s| s.1).sum();
         let aside = sets.iter().filter(|s| s.2).count() as u32;
-        // A cell that was set aside shows all triangles; this does not count as over the budget.
+        // A cell that was set aside shows all triangles, so it does not count as over the budget.
         let over = sets
             .iter()
             .filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b))
@@ -197,7 +201,7 @@ impl Summary {
             mean_bound: bounds.as_ref().map(|b| b.mean),
             cells_unfinished,
             cells_spared,
-            cell_to_cell: CellToCell::of(&pvs)?,
+            cell_to_cell: CellToCell::from_result(&pvs)?,
             decided: if pvs.method() == "aggressive" {
                 None
             } else {
@@ -209,7 +213,7 @@ impl Summary {
         })
     }
 
-    /// The summary as lines for people.
+    /// Returns the summary as human-readable lines.
     pub fn lines(&self) -> Vec<String> {
         let text = |key: &str| {
             self.info
@@ -228,12 +232,12 @@ impl Summary {
             ),
             match self.granularity == Granularity::Triangles.name() {
                 true => String::new(),
-                false => format!("the sets name {} {}", self.items, self.granularity),
+                false => format!("the sets contain ids of {} {}", self.items, self.granularity),
             },
             match self.cells_reached == self.cells {
                 true => String::new(),
                 false => format!(
-                    "viewpoints are in {} of {}; the others were not sampled",
+                    "viewpoints are in {} of {}; the other cells were not sampled",
                     self.cells_reached,
                     plural(self.cells as usize, "cell")
                 ),
@@ -249,7 +253,7 @@ impl Summary {
                 false => String::new(),
             },
             match self.undecided {
-                // Sampling alone decides nothing, so it has no number of undecided triangles.
+                // Sampling does not decide triangles, so it has no number of undecided triangles.
                 0 => format!(
                     "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}{}",
                     self.mean_visible,
@@ -264,7 +268,7 @@ impl Summary {
                 ),
                 undecided => format!(
                     "visible from a cell: between {:.0} and {:.0} triangles on average; \
-                     drawn: the latter ({:.2} %), {} to {}; undecided: {undecided} in all cells",
+                     drawn: the larger number ({:.2} %), {} to {}; undecided: {undecided} in all cells",
                     self.mean_visible - undecided as f64 / f64::from(self.cells_reached.max(1)),
                     self.mean_visible,
                     self.mean_visible_fraction * 100.0,
@@ -273,34 +277,36 @@ impl Summary {
                 ),
             },
             format!(
-                "{} bytes, {:.0} a cell for the sets; cells set aside: {}",
+                "{} bytes, {:.0} bytes of sets per cell; cells set aside: {}",
                 self.file_bytes, self.bytes_per_cell, self.cells_set_aside
             ),
             match (self.greatest_bound, self.mean_bound) {
-                // The bounds are those of sampling, before exact queries found the rest.
+                // The bounds apply to the sampling, before exact queries found the missed triangles.
                 _ if self.decided.is_some() && self.undecided > 0 => {
                     "missed sight lines: none, because undecided triangles are drawn".to_owned()
                 }
                 _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
                 (Some(greatest), Some(mean)) => format!(
-                    "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on \
-                     average",
+                    "missed sight lines, bounds of {} cells at 95 % each: at most {:.4} %, {:.4} % \
+                     on average",
                     self.cells_bounded,
                     greatest * 100.0,
                     mean * 100.0
                 ),
                 _ if find_field(&self.info["spec"], "max_error").is_some() => {
-                    "missed sight lines: the bound asked for was not reached in any cell".to_owned()
+                    "missed sight lines: no cell reached the requested bound".to_owned()
                 }
                 _ if find_field(&self.info["spec"], "adaptive").is_some() => {
-                    "missed sight lines: not bounded (only those of a grid can be)".to_owned()
+                    "missed sight lines: not bounded (only cells of a grid or boxes along walls have \
+                     bounds)".to_owned()
                 }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
         if let Some(open) = self.info["tiles_open"].as_u64() {
             lines.push(format!(
-                "NOT FINISHED: {open} tiles of the job were not done; their cells show everything"
+                "NOT FINISHED: {open} tiles of the job were not done; the sets of their cells contain \
+                 every triangle"
             ));
         }
         lines.retain(|line| !line.is_empty());
@@ -327,20 +333,21 @@ impl Summary {
         }));
         if let Some(d) = self.decided.as_ref().filter(|_| self.by_portals()) {
             lines.push(format!(
-                "{} pairs of cell and triangle are hidden by walls ({} by closed surfaces); {} have no \
-                 witness, count as undecided and are drawn",
+                "walls hide {} pairs of a cell and a triangle (closed surfaces hide {} of them); {} pairs \
+                 have no witness, count as undecided and are drawn",
                 d.hidden, d.by_surfaces, self.undecided
             ));
             if self.mean_visible_fraction > MUCH && !self.in_region {
                 lines.push(
-                    "walls hide little here: portals help where they enclose rooms; `sightline portals` \
-                     shows the way out of a scene, and --reachable-from leaves out where nobody is"
+                    "walls hide little here: portals help where walls enclose rooms; `sightline portals` \
+                     prints the way out of a scene, and --reachable-from excludes space that no viewer \
+                      can reach"
                         .to_owned(),
                 );
             }
             if d.out_of_time > 0 {
                 lines.push(format!(
-                    "NOT FINISHED: the time ended first in {} cells",
+                    "NOT FINISHED: the time budget ended before {} cells were complete",
                     d.cells_out_of_time
                 ));
             }
@@ -364,11 +371,15 @@ impl Summary {
                 ));
             }
         }
-        // Exact queries decide afterwards whatever sampling leaves, so unfinished cells do not matter then.
+        // Exact queries decide the triangles that sampling leaves open, so unfinished cells do not matter
+        // then.
         if self.cells_unfinished > 0 && self.decided.is_none() {
             let why = match find_field(&self.info["spec"], "time_budget_ms") {
                 Some(_) => "the time budget ended first",
-                _ => "sampling gave up after many rounds; info --cells lists the hardest cells",
+                _ => {
+                    "sampling ended at its maximum number of rounds; info --cells lists the cells with \
+                 the most rays"
+                }
             };
             lines.push(format!(
                 "NOT FINISHED: {} of {} cells: {why}",
@@ -377,18 +388,18 @@ impl Summary {
         }
         if self.cells_spared > 0 && self.decided.is_none() {
             lines.push(format!(
-                "hard cells: {} of {} took far more work than the others and were finished with a tolerance \
-                 above the target error; --max-error allows no such tolerance",
+                "hard cells: {} of {} needed far more work than the other cells, and finished with a \
+                 tolerance above the target error; --max-error allows no such tolerance",
                 self.cells_spared, self.cells
             ));
         }
         if let Some(over @ 1..) = self.cells_over_budget {
             let why = if self.decided.is_some() {
-                "the tree was built from what sampling had shown"
+                "sampling divided the cells before exact queries found more triangles"
             } else if self.cells_unfinished > 0 {
-                "they are at the deepest level (--max-depth), too thin to be halved, or not finished"
+                "these cells are at the deepest level (--max-depth), too thin to be halved, or not finished"
             } else {
-                "they are at the deepest level (--max-depth) or too thin to be halved"
+                "these cells are at the deepest level (--max-depth), or too thin to be halved"
             };
             lines.push(format!(
                 "over the triangle budget: {over} of {} cells; {why}",
@@ -402,7 +413,7 @@ impl Summary {
 
 /// Prints a summary of a result.
 pub fn run(args: &InfoArgs, json: bool) -> Result<(), Error> {
-    let summary = Summary::of(&args.result.result)?;
+    let summary = Summary::open(&args.result.result)?;
     let pvs = open(&args.result.result)?;
     if json {
         let mut value = serde_json::to_value(&summary).map_err(Error::internal)?;
@@ -446,9 +457,10 @@ pub fn run(args: &InfoArgs, json: bool) -> Result<(), Error> {
     print(&lines.join("\n"))
 }
 
-/// A point in text. Its coordinates come from single precision, so they are printed in single precision.
-fn corner(of: &serde_json::Value) -> String {
-    let coordinates = of.as_array().map_or(&[][..], |c| c);
+/// Formats a point. The coordinates were single-precision numbers, so the function prints them in single
+/// precision.
+fn corner(point: &serde_json::Value) -> String {
+    let coordinates = point.as_array().map_or(&[][..], |c| c);
     let short: Vec<String> = coordinates
         .iter()
         .map(|c| {

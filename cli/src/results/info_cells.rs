@@ -1,30 +1,30 @@
-//! `sightline info --cells`: how each cell was sampled, the hardest cells first, and their bounds.
+//! `sightline info --cells`: prints the sampling of each cell, the hardest cells first, and their bounds.
 //!
-//! The numbers are columns of the result file and the same on every run of a job. So no times are among them;
-//! the number of rays stands for the time.
+//! The numbers are columns of the result file and the same on every run of a job. So they include no times;
+//! the number of rays represents the time.
 
 use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
-use sightline::Error;
+use sightline::{CellIndex, Error};
 use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
 use sightline_pvs::Pvs;
 use sightline_view::{Map, each};
 
-/// Cells listed without --json.
+/// The number of cells that `info --cells` lists without --json.
 const SHOWN: usize = 20;
 
-/// Bounds of a result on the fraction of missed sight lines.
+/// The bounds of a result on the fraction of missed sight lines, 0 to 1, at 95 % confidence.
 pub struct Bounds {
-    /// Number of cells that have a bound.
+    /// The number of cells that have a bound.
     pub cells: usize,
-    /// The greatest bound.
+    /// The largest bound.
     pub greatest: f64,
     /// The mean bound.
     pub mean: f64,
 }
 
-/// The columns of a result by name.
+/// Returns the columns of a result by name.
 fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, Error> {
     Ok(pvs
         .columns()?
@@ -33,8 +33,8 @@ fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, Error> {
         .collect())
 }
 
-/// A cell's bound on the fraction of sight lines it misses, with confidence 95 %.
-fn bound(columns: &BTreeMap<String, Vec<u64>>, of: [&str; 3], cell: usize) -> Option<f64> {
+/// Returns a cell's bound on the fraction of sight lines that it misses, with confidence 95 %.
+fn bound(columns: &BTreeMap<String, Vec<u64>>, names: [&str; 3], cell: usize) -> Option<f64> {
     let at = |name: &str| {
         columns
             .get(name)
@@ -42,45 +42,45 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, of: [&str; 3], cell: usize) -> Op
             .copied()
             .unwrap_or(0)
     };
-    let [lines, misses, look] = of.map(at);
+    let [lines, misses, look] = names.map(at);
     let look = u32::try_from(look).unwrap_or(u32::MAX);
     (lines > 0).then(|| upper_bound(misses, lines, alpha_of(look)))
 }
 
-/// The columns of the bound on missed triangles: held-out lines, those that missed, and the number of the
+/// The columns of the bound on missed triangles: held-out lines, lines that missed, and the number of the
 /// look.
 const OF_TRIANGLES: [&str; 3] = ["bound_lines", "bound_misses", "bound_look"];
-/// The same of the bound on missed cells.
+/// The columns of the bound on missed cells: held-out lines, lines that missed, and the number of the look.
 const OF_CELLS: [&str; 3] = ["bound_cell_lines", "bound_cell_misses", "bound_cell_look"];
 
-/// Totals over all cells of what exact queries decided, in pairs of cell and triangle; 0 for a result of
-/// sampling alone.
+/// The decisions of exact queries over all cells, as numbers of pairs of a cell and a triangle. All numbers
+/// are 0 for a sampled result.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Decided {
-    /// Pairs proved hidden.
+    /// The number of pairs that are proved hidden.
     pub hidden: u64,
-    /// Hidden pairs whose triangle is hidden by the closed surface it belongs to.
+    /// The number of hidden pairs whose triangle is hidden by its own closed surface.
     pub by_surfaces: u64,
-    /// Visible pairs that sampling had missed.
+    /// The number of visible pairs that sampling had missed.
     pub missed: u64,
-    /// Hidden pairs that sampling had shown.
+    /// The number of hidden pairs that sampling had shown.
     pub refuted: u64,
-    /// Pairs undecided because the time ended.
+    /// The number of pairs that are undecided because the time ended.
     pub out_of_time: u64,
-    /// The cells of these pairs.
+    /// The number of cells with such pairs.
     pub cells_out_of_time: usize,
-    /// Pairs undecided because a query exceeded a limit.
+    /// The number of pairs that are undecided because a query exceeded a limit.
     pub beyond_limits: u64,
-    /// Cells with undecided triangles.
+    /// The number of cells with undecided triangles.
     pub cells_open: usize,
-    /// Bytes of witnesses and certificates.
+    /// The size of witnesses and certificates, in bytes.
     pub evidence_bytes: u64,
 }
 
 /// Sums the decisions of exact queries over all cells.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn decided(pvs: &Pvs) -> Result<Decided, Error> {
     let columns = columns(pvs)?;
     let sum = |name: &str| {
@@ -113,11 +113,11 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, Error> {
     })
 }
 
-/// Returns the number of cells whose sampling ended before they reached their target, and the number of cells
-/// with a per-cell tolerance above the target error.
+/// Counts the unfinished and the spared cells. The sampling of an unfinished cell ended before its target. A
+/// spared cell has a per-cell tolerance above the target error.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], Error> {
     let columns = columns(pvs)?;
     let count = |name| {
@@ -128,27 +128,27 @@ pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], Error> {
     Ok(["unfinished", "spared"].map(count))
 }
 
-/// Returns the bounds of a result, if it has any.
+/// Returns the bounds on missed sight lines of a result, or `None` if no cell has a bound.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, Error> {
     bounds_of(pvs, OF_TRIANGLES)
 }
 
-/// Returns the bounds on the fraction of sight lines that cross a cell without a pair with their own cell, if
-/// there are any.
+/// Returns the bounds on missed pairs of cells, if the result has any. A bound is the fraction of a cell's
+/// sight lines that cross a cell which forms no pair with it.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn pair_bounds(pvs: &Pvs) -> Result<Option<Bounds>, Error> {
     bounds_of(pvs, OF_CELLS)
 }
 
-fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, Error> {
+fn bounds_of(pvs: &Pvs, names: [&str; 3]) -> Result<Option<Bounds>, Error> {
     let columns = columns(pvs)?;
     let all: Vec<f64> = (0..pvs.cells() as usize)
-        .filter_map(|c| bound(&columns, of, c))
+        .filter_map(|c| bound(&columns, names, c))
         .collect();
     let sum: f64 = all.iter().sum();
     Ok((!all.is_empty()).then(|| Bounds {
@@ -158,10 +158,10 @@ fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, Error> {
     }))
 }
 
-/// Heat maps of the bake's statistics.
+/// Returns heat maps of the bake's statistics.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, Error> {
     let columns = columns(pvs)?;
     let rays = [
@@ -171,10 +171,13 @@ pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, Error> {
         "rays_check",
         "exact_rays",
     ];
-    let at = |name: &str, cell: u32| columns.get(name).map_or(0, |c| c[cell as usize]);
+    let at = |name: &str, cell: CellIndex| columns.get(name).map_or(0, |c| c[cell.at()]);
     Ok(vec![
         each(pvs, "rays", |_, cell| {
-            Ok(rays.iter().map(|name| at(name, cell) as f32).sum())
+            Ok(rays
+                .iter()
+                .map(|name| at(name, CellIndex(cell)) as f32)
+                .sum())
         })?,
         each(pvs, "bound on missed sight lines", |_, cell| {
             Ok(bound(&columns, OF_TRIANGLES, cell as usize).map_or(f32::NAN, |bound| bound as f32))
@@ -182,10 +185,10 @@ pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, Error> {
     ])
 }
 
-/// Returns the bound of each cell on the fraction of sight lines it misses, where it has one.
+/// Returns for each cell the bound on the fraction of sight lines that it misses, if it has one.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, Error> {
     let columns = columns(pvs)?;
     Ok((0..pvs.cells() as usize)
@@ -196,7 +199,7 @@ pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, Error> {
 /// Returns a JSON array with one object per cell.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn json(pvs: &Pvs) -> Result<Value, Error> {
     let columns = columns(pvs)?;
     let mut cells = Vec::new();
@@ -219,7 +222,7 @@ pub fn json(pvs: &Pvs) -> Result<Value, Error> {
 /// Returns the cells with the most rays, as a table.
 ///
 /// # Errors
-/// [`sightline::ErrorKind::Input`] when the result cannot be read.
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
 pub fn table(pvs: &Pvs) -> Result<Vec<String>, Error> {
     let columns = columns(pvs)?;
     let none = Vec::new();
@@ -227,7 +230,7 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, Error> {
     let at = |name: &str, cell: usize| column(name).get(cell).copied().unwrap_or(0);
     if columns.is_empty() {
         return Ok(vec![
-            "this result keeps no statistics of its cells".to_owned(),
+            "this result contains no statistics of its cells".to_owned(),
         ]);
     }
     let kinds = [
@@ -252,10 +255,11 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, Error> {
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let exact = pvs.method() != "aggressive";
     let mut lines = vec![format!(
-        "the cells that took the most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles that \
-         such rays were the first to show (held-out: lines that met a triangle outside the set); missed: \
-         fraction of the last round's uniform rays that met a triangle outside the set before that round; \
-         bound: on the fraction still missed, at 95 %; *: not finished; ~: finished with a tolerance above \
+        "the cells with the most rays{}. rays: numbers of uniform/flood/candidate/held-out rays; finds: \
+         triangles that rays of each kind were the first to show (held-out: lines that met a triangle \
+         outside the set); missed: fraction of the last round's uniform rays that met a triangle outside \
+         the set before that round; bound: upper limit of the fraction of sight lines still missed, at \
+         95 % confidence; *: not finished; ~: finished with a tolerance above \
          the target error",
         if exact {
             " in sampling, which came first"
@@ -306,14 +310,14 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, Error> {
         ]);
     }
     lines.extend(aligned(&rows));
-    lines.push("their boxes, in world space".to_owned());
+    lines.push("boxes of these cells, in world space".to_owned());
     for cell in order.iter().copied().take(SHOWN) {
         let [min, max] = pvs.cell_bounds(cell as u32).unwrap_or_default();
         lines.push(format!("  {cell}: {min:?} to {max:?}"));
     }
     if order.len() > SHOWN {
         lines.push(format!(
-            "… and {} cells that took fewer rays; --json lists all",
+            "… and {} cells with fewer rays; --json lists all cells",
             order.len() - SHOWN
         ));
     }
@@ -323,14 +327,15 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, Error> {
     Ok(lines)
 }
 
-/// The cells whose exact queries visited the most regions of line space, as a table.
+/// Returns the cells whose exact queries visited the most regions of line space, as a table.
 fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>, Error> {
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
     let mut lines = vec![
-        "the cells whose exact queries took the most work; queries about the box around a cell group count \
-         with its first cell. group: hidden from such a box; surfaces: of the other hidden triangles, those \
-         hidden by the closed surface they belong to; missed: visible and not shown by sampling; regions: \
+        "the cells whose exact queries needed the most work; queries about the box around a cell group \
+         count for the first cell of the group. group: triangles hidden from the box around the cell's \
+         group; surfaces: of the other hidden triangles, the triangles hidden by their own closed \
+         surface; missed: visible triangles that sampling had not shown; regions: \
          visited regions of line space, on which queries spend their time"
             .to_owned(),
     ];
@@ -373,7 +378,7 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
     Ok(lines)
 }
 
-/// Rows as lines, each column as wide as its widest entry and flush right.
+/// Formats rows as right-aligned lines. Each column is as wide as its widest entry.
 fn aligned<const N: usize>(rows: &[[String; N]]) -> Vec<String> {
     let width = |k: usize| rows.iter().map(|r| r[k].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);

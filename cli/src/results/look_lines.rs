@@ -1,4 +1,5 @@
-//! What both kinds of `sightline look` share: lines in, answers out in their order, and medians at the end.
+//! The line processing of both kinds of `sightline look`: input lines, answers in the same order, and final
+//! medians.
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -8,33 +9,35 @@ use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// An answer, and what the medians are of.
-pub struct Answer {
+/// An answer with the values that medians are computed from.
+pub struct LookReport {
     /// The line to print.
     pub line: Value,
-    /// How long it took.
+    /// The time of the answer in nanoseconds.
     pub nanos: u64,
-    /// A number that is told beside the time.
+    /// The second value with a median: the number of visible triangles (.tets), or the visible share of the
+    /// cell's set in steps of 1e-5 (.pvs).
     pub count: u64,
 }
 
-/// Medians over all answers.
+/// The medians over all answers.
 #[derive(Default)]
 pub struct Medians {
-    /// Number of answers.
+    /// The number of answers.
     pub answers: usize,
-    /// Of the nanoseconds.
+    /// The median time in nanoseconds.
     pub nanos: Median,
-    /// Of the numbers beside them.
+    /// The median of [`LookReport::count`].
     pub count: Median,
 }
 
-/// Reads lines, has those that were read together answered, and prints the answers up to the first that
-/// fails. The medians are of what was answered, also where the input ends with an error, which says so.
+/// Reads lines, answers each batch of lines, and prints the answers up to the first failure. Returns the
+/// outcome and the medians over the printed answers, also if the input ends with an error. `items` is the
+/// noun for the answered lines in messages.
 pub fn answer<L: DeserializeOwned, Q>(
     input: &mut JsonLines,
     check: impl Fn(L) -> Result<Q, String>,
-    mut answers: impl FnMut(Vec<Q>) -> Vec<Result<Answer, String>>,
+    mut answers: impl FnMut(Vec<Q>) -> Vec<Result<LookReport, String>>,
     items: &str,
 ) -> (Result<(), Error>, Medians) {
     let mut medians = Medians::default();
@@ -66,20 +69,21 @@ pub fn answer<L: DeserializeOwned, Q>(
     };
     if ended.is_err() {
         say(&format!(
-            "only the {items} before the bad line were answered"
+            "the command answered only the {items} before the bad line"
         ));
     }
     (ended, medians)
 }
 
-/// Numbers below 2^EXACT are counted one by one; each power of two above has so many steps.
+/// The binary logarithm of the number of steps per power of two. Numbers below 2^(EXACT + 1) have one step
+/// each, so their counts are exact.
 const EXACT: u32 = 10;
 
-/// The median of any number of numbers, in memory that does not grow with them: exact up to 2047, and within
-/// one part in 1024.
+/// The median of any number of integers, in bounded memory. A median up to 2047 is exact; a larger median has
+/// a relative error of at most 1/1024.
 #[derive(Default)]
 pub struct Median {
-    /// Numbers by step.
+    /// The count of the numbers in each step.
     counts: Vec<u64>,
     total: u64,
 }
@@ -95,7 +99,8 @@ impl Median {
         self.total += 1;
     }
 
-    /// The upper one of the middle numbers, rounded down to a step; nothing of none.
+    /// Returns the median (the upper one of two middle numbers), rounded down to a step. Returns `None` if no
+    /// number was added.
     pub fn get(&self) -> Option<u64> {
         let mut before = 0;
         let step = self.counts.iter().position(|count| {
@@ -121,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_are_in_order_and_hold_their_numbers() {
+    fn steps_are_ordered_and_contain_their_numbers() {
         for number in (0..5000).chain([u64::MAX / 3, u64::MAX - 1, u64::MAX]) {
             let least = least_of(step_of(number));
             assert!(
@@ -134,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_is_the_upper_middle() {
+    fn median_is_upper_middle() {
         let median_of = |numbers: &[u64]| {
             let mut median = Median::default();
             numbers.iter().for_each(|n| median.add(*n));

@@ -1,5 +1,5 @@
-//! `sightline look OUT.pvs`: what is seen through portals from viewpoints, one JSON line in, one JSON line
-//! out.
+//! `sightline look OUT.pvs`: prints the triangles that are visible through portals from viewpoints, with one
+//! JSON line per viewpoint in input and output.
 
 use std::time::Instant;
 
@@ -10,12 +10,12 @@ use sightline::open;
 use sightline_pvs::{LookError, Looker, Pvs, View};
 
 use crate::args::tetra::LookArgs;
-use crate::results::look_lines::{self, Answer};
+use crate::results::look_lines::{self, LookReport};
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::printable;
 use crate::terminal::stderr::say;
 
-/// Steps of a share of the cell's set, for the median.
+/// The resolution of the median share: the number of steps from 0 to 1.
 const SHARES: f64 = 1e5;
 
 /// One line of the input.
@@ -32,11 +32,12 @@ struct PortalInput {
     shut: Vec<String>,
 }
 
-/// Looks from every eye of a file, in order.
+/// Answers every view of a file, in order.
 pub fn run(args: &LookArgs) -> Result<(), Error> {
     if let Some(option) = args.of_tets() {
         return Err(Error::usage(format!(
-            "{option} needs a .tets file, and {} is a result; make one with `sightline tetra`",
+            "{option} needs a .tets file, but {} is a result; create a .tets file with `sightline \
+             tetra`",
             args.file.display()
         )));
     }
@@ -48,8 +49,9 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
             pvs.method(),
             match (pvs.method(), pvs.region()) {
                 ("portals", _) | ("exact" | "verified", Some(_)) =>
-                    "the tile that has them was set aside: run the same bake again",
-                _ => "bake it with --method portals, or exactly with --reachable-from where walls enclose it",
+                    "the tile with the portals was set aside; run the same bake again",
+                _ => "bake the scene with --method portals, or with --method exact and --reachable-from \
+                 at points that walls enclose",
             }
         ))
     })?;
@@ -60,7 +62,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let check = |line: PortalInput| {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
-                [] => format!("there is no door {name:?}: the result has no doors"),
+                [] => format!("there is no door {name:?}: the result has no doors; omit \"shut\""),
                 _ => {
                     format!(
                         "there is no door {name:?}; the doors are {}",
@@ -88,7 +90,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
         let micros = nanos as f64 / 1e3;
         let line =
             json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
-        Ok(Answer {
+        Ok(LookReport {
             line,
             nanos,
             count: (share * SHARES).round() as u64,
@@ -109,7 +111,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let (ended, medians) = look_lines::answer(&mut input, check, answers, "views");
     if let (Some(nanos), Some(share)) = (medians.nanos.get(), medians.count.get()) {
         say(&format!(
-            "{} views; in the median {:.1} µs each, and {:.1} % of the cell's set",
+            "{} views; medians per view: {:.1} µs, and {:.1} % of the cell's set",
             medians.answers,
             nanos as f64 / 1e3,
             share as f64 / SHARES * 100.0
@@ -118,7 +120,8 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     ended
 }
 
-/// The cell of a look, or why it has none.
+/// Returns the number of the cell that contains the eye, or the reason why no cell with viewpoints contains
+/// the eye.
 fn seen_from(pvs: &Pvs, view: &View, cell: Result<Option<u32>, LookError>) -> Result<u32, String> {
     let [lo, hi] = pvs.tree().view_box();
     let Some(cell) = cell.map_err(|e| e.to_string())? else {
@@ -127,14 +130,15 @@ fn seen_from(pvs: &Pvs, view: &View, cell: Result<Option<u32>, LookError>) -> Re
             None => format!("the view box, {lo:?} to {hi:?}"),
         };
         return Err(format!(
-            "the eye {:?} is outside of {region}; give one inside",
+            "the eye {:?} is outside of {region}; give an eye inside",
             view.eye
         ));
     };
     match pvs.is_reached(cell).map_err(|e| e.to_string())? {
         true => Ok(cell),
         false => Err(format!(
-            "no viewpoint can be in cell {cell}; the bake left it out"
+            "no viewpoint can be in cell {cell} of the eye, so the bake skipped the cell; choose another \
+             eye"
         )),
     }
 }

@@ -1,4 +1,5 @@
-//! `sightline look OUT.tets`: what is seen from points, one JSON line in, one JSON line out.
+//! `sightline look OUT.tets`: prints the triangles that are visible from points, with one JSON line per point
+//! in input and output.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -9,16 +10,18 @@ use serde_json::{Value, json};
 use sightline::Error;
 use sightline::words::plural;
 use sightline_tetra::surfaces::{BLOCKS, SHOWS};
-use sightline_tetra::{Engine, LookError, Mode, Scratch, Seen, Target, Tets, TetsError, View};
+use sightline_tetra::{
+    Engine, LookError, Mode, Scratch, Target, Tets, TetsError, View, VisibleTriangles,
+};
 
 use crate::args::tetra::{LookArgs, LookEngine, LookMode};
-use crate::results::look_lines::{self, Answer};
+use crate::results::look_lines::{self, LookReport};
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 
-/// The angle of modes that need one, in degrees, if none is given.
+/// The default angle of modes that need one, in degrees.
 const ANGLE: f64 = 0.2;
-/// The angle of the cone around a direction, in degrees, if none is given.
+/// The default angle of the cone around a direction, in degrees.
 const FOV: f64 = 90.0;
 
 /// One line of the input.
@@ -35,7 +38,7 @@ struct ViewpointInput {
     targets: Vec<TargetLine>,
 }
 
-/// A box in a line.
+/// A target box in an input line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TargetLine {
@@ -45,7 +48,7 @@ struct TargetLine {
     max: [f64; 3],
 }
 
-/// A point and what is asked about it.
+/// A checked query: a point with its view and its targets.
 struct ViewpointQuery {
     id: Value,
     point: [f64; 3],
@@ -53,16 +56,16 @@ struct ViewpointQuery {
     targets: Vec<(Value, Target)>,
 }
 
-/// What all answers have in common.
+/// The state that all answers share.
 struct Answering<'a> {
     tets: &'a Tets,
     mode: Mode,
     args: &'a LookArgs,
-    /// Whether some triangles block and do not show, so that not every direction ends in what is seen.
+    /// True if some triangles block and do not show, so that a direction can end without a visible triangle.
     has_unseen: bool,
 }
 
-/// Opens a file of `sightline tetra`; the error names it.
+/// Opens a file of `sightline tetra`. The error contains the path.
 pub fn open(path: &std::path::Path) -> Result<Tets, Error> {
     Tets::open(path).map_err(|e| match e {
         TetsError::Open { .. } => Error::input(e.to_string()),
@@ -70,7 +73,7 @@ pub fn open(path: &std::path::Path) -> Result<Tets, Error> {
     })
 }
 
-/// Looks from every point of a file, in order.
+/// Answers every point of a file, in order.
 pub fn run(args: &LookArgs) -> Result<(), Error> {
     let mode = mode(args)?;
     sightline::process::use_threads(args.threads.map_or(1, usize::from))?;
@@ -90,7 +93,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let example =
         r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
-    // The first point decides for all, whichever lines are read together with it.
+    // The first point selects the engine for all points, regardless of the batches.
     let mut engine = match args.engine.unwrap_or_default() {
         LookEngine::Auto => None,
         LookEngine::Tetra => Some(Engine::Cells),
@@ -99,7 +102,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let pool: Mutex<Vec<Scratch>> = Mutex::default();
     let answers = |mut queries: Vec<ViewpointQuery>| {
         if let (None, Some(ViewpointQuery { point, view, .. })) = (engine, queries.first()) {
-            // What is wrong with the first point is told with its line.
+            // An error of the first point is reported with its line.
             engine = tets
                 .faster(*point, view, mode, &mut Scratch::default())
                 .ok();
@@ -127,7 +130,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let (ended, medians) = look_lines::answer(&mut input, check, answers, "points");
     if let (Some(nanos), Some(count)) = (medians.nanos.get(), medians.count.get()) {
         say(&format!(
-            "{}; in the median {:.1} µs each, and {} seen",
+            "{}; medians per point: {:.1} µs, and {} visible",
             plural(medians.answers, "point"),
             nanos as f64 / 1e3,
             plural(count as usize, "triangle")
@@ -136,18 +139,18 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     ended
 }
 
-/// The mode with its angle.
+/// Returns the mode of the arguments, with its angle in radians.
 fn mode(args: &LookArgs) -> Result<Mode, Error> {
     let angle = args.angle.unwrap_or(ANGLE);
     if angle.is_nan() || angle <= 0.0 || angle > 180.0 {
         return Err(Error::input(format!(
-            "--angle {angle} is not an angle; give one above 0 and up to 180 degrees"
+            "--angle {angle} is out of range; give an angle above 0 and up to 180 degrees"
         )));
     }
     match args.mode.unwrap_or_default() {
         LookMode::Exact if args.angle.is_some() => Err(Error::usage(
-            "--angle is for beams that are not decided exactly; add --mode aggressive or conservative, \
-             or leave it out"
+            "--angle does not apply to --mode exact; give --mode aggressive or conservative, or \
+             omit --angle"
                 .to_owned(),
         )),
         LookMode::Exact => Ok(Mode::Exact),
@@ -167,7 +170,8 @@ fn query(line: ViewpointInput, witnesses: bool) -> Result<ViewpointQuery, String
     } = line;
     if fov.is_some() && direction.is_none() {
         return Err(
-            "\"fov\" is an angle around a direction; give \"direction\" too, or neither".to_owned(),
+            "\"fov\" is an angle around a direction; give \"direction\", too, or omit \"fov\""
+                .to_owned(),
         );
     }
     let angle = fov.unwrap_or(FOV).to_radians();
@@ -199,7 +203,11 @@ fn query(line: ViewpointInput, witnesses: bool) -> Result<ViewpointQuery, String
 }
 
 impl Answering<'_> {
-    fn answer(&self, query: ViewpointQuery, scratch: &mut Scratch) -> Result<Answer, LookError> {
+    fn answer(
+        &self,
+        query: ViewpointQuery,
+        scratch: &mut Scratch,
+    ) -> Result<LookReport, LookError> {
         let ViewpointQuery {
             id,
             point,
@@ -214,7 +222,7 @@ impl Answering<'_> {
             .collect::<Result<_, _>>()?;
         let seen = self.tets.look(point, &view, self.mode, scratch)?;
         let nanos = start.elapsed().as_nanos() as u64;
-        let Seen {
+        let VisibleTriangles {
             visible,
             areas,
             witnesses,
@@ -247,7 +255,7 @@ impl Answering<'_> {
         }
         (line["cells"], line["beams"], line["micros"]) =
             (json!(cells), json!(beams), json!(nanos as f64 / 1e3));
-        Ok(Answer {
+        Ok(LookReport {
             line,
             nanos,
             count: visible.len() as u64,

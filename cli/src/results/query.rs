@@ -1,14 +1,14 @@
-//! `sightline query`: the set of the cell that contains a point, or whether the cell sees a place.
+//! `sightline query`: prints the set of the cell that contains a point, or decides if the cell sees a target.
 
 use std::io::Write as _;
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use sightline::Error;
 use sightline::NamedResult;
 use sightline::open;
 use sightline::viewpoints::region_of_result;
 use sightline::words::plural;
+use sightline::{CellIndex, Error};
 use sightline_pvs::{Granularity, Pvs, PvsError};
 use sightline_scene::Scene;
 
@@ -20,14 +20,18 @@ use crate::terminal::printable;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::{print, print_json, print_with};
 
-/// Answers a query.
+/// Prints the answer to the query in the arguments.
 pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
     let pvs = open(&args.result.result)?;
     let (cell, target) = match (args.point.is_empty(), args.cell) {
-        (true, Some(cell)) if args.sees.is_empty() && args.to_box.is_none() => (cell, None),
+        (true, Some(cell)) if args.sees.is_empty() && args.to_box.is_none() => {
+            (CellIndex(cell), None)
+        }
         (true, _) => {
             return Err(Error::usage(
-                "give the viewpoint as three numbers X Y Z, or --cell alone".to_owned(),
+                "give the viewpoint as three numbers X Y Z, or give only --cell without a \
+                 viewpoint"
+                    .to_owned(),
             ));
         }
         (false, to) => {
@@ -35,16 +39,16 @@ pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
             (cell, target(&pvs, args, to)?)
         }
     };
-    if cell >= pvs.cells() {
+    if cell.0 >= pvs.cells() {
         return Err(PvsError::NoCell {
-            cell,
+            cell: cell.0,
             cells: pvs.cells(),
         }
         .into());
     }
-    if !pvs.is_reached(cell)? {
+    if !pvs.is_reached(cell.0)? {
         return Err(Error::input(format!(
-            "no viewpoint can be in cell {cell}: the bake left it out (--view-box, --view-mesh, \
+            "no viewpoint can be in cell {cell}: the bake skipped it (--view-box, --view-mesh, \
              --viewpoints, --reachable-from); choose another point, or bake with more viewpoints"
         )));
     }
@@ -52,8 +56,8 @@ pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
         None => None,
         Some(_) if args.why.is_none() && pvs.region().is_none() => {
             return Err(Error::usage(
-                "--scene is for --why, and to check a point in a result whose viewpoints walls enclose; \
-                 leave it out"
+                "--scene applies only to --why, and to results of --reachable-from whose viewpoints \
+                 are enclosed by walls; omit --scene"
                     .to_owned(),
             ));
         }
@@ -68,7 +72,7 @@ pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
         return sees(&pvs, cell, &target, json);
     }
     if let Some(what) = &args.why {
-        let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+        let [min, max] = pvs.cell_bounds(cell.0).unwrap_or_default();
         let middle = std::array::from_fn(|axis| f32::midpoint(min[axis], max[axis]));
         let question = Question {
             pvs: &pvs,
@@ -84,7 +88,8 @@ pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
     set(&pvs, cell, args, json)
 }
 
-/// Refuses a point outside the region that holds all viewpoints, or says that it was not checked.
+/// Checks that a point is in the region of all viewpoints. Without a scene, prints a note that the point was
+/// not checked.
 fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<(), Error> {
     let (Some(_), Ok(point)) = (pvs.region(), <[f32; 3]>::try_from(args.point.as_slice())) else {
         return Ok(());
@@ -92,8 +97,8 @@ fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<()
     let result = &args.result.result;
     let Some(scene) = scene else {
         say(
-            "note: the sets hold for viewpoints that walls enclose (--reachable-from); with --scene SCENE it \
-             is checked whether this is one",
+            "note: the sets are valid for viewpoints that walls enclose (--reachable-from); give \
+             --scene SCENE to check this viewpoint",
         );
         return Ok(());
     };
@@ -107,12 +112,12 @@ fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<()
     }
 }
 
-/// The cell of a point.
-fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<u32, Error> {
+/// Returns the cell of a point.
+fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<CellIndex, Error> {
     let point: [f32; 3] = point
         .try_into()
         .map_err(|_| Error::usage("give a point as three numbers X Y Z".to_owned()))?;
-    pvs.find_cell(point).ok_or_else(|| {
+    pvs.find_cell(point).map(CellIndex).ok_or_else(|| {
         let [min, max] = pvs.tree().view_box();
         Error::input(format!(
             "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
@@ -122,9 +127,9 @@ fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<u32, Error> {
     })
 }
 
-/// What a cell may see.
+/// The target of a visibility query from a cell: another cell, or a box.
 enum Target {
-    Cell(u32),
+    Cell(CellIndex),
     Box([f32; 3], [f32; 3]),
 }
 
@@ -132,7 +137,7 @@ fn target(pvs: &Pvs, args: &QueryArgs, to: Option<u32>) -> Result<Option<Target>
     Ok(match (args.sees.is_empty(), args.to_box, to) {
         (false, ..) => Some(Target::Cell(cell_of(pvs, args, &args.sees)?)),
         (true, Some(b), _) => Some(Target::Box(b.min.to_array(), b.max.to_array())),
-        (true, None, Some(cell)) if cell < pvs.cells() => Some(Target::Cell(cell)),
+        (true, None, Some(cell)) if cell < pvs.cells() => Some(Target::Cell(CellIndex(cell))),
         (true, None, Some(cell)) => {
             return Err(PvsError::NoCell {
                 cell,
@@ -144,13 +149,16 @@ fn target(pvs: &Pvs, args: &QueryArgs, to: Option<u32>) -> Result<Option<Target>
     })
 }
 
-/// Prints whether a cell sees a cell or a box.
-fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), Error> {
+/// Prints the visibility of a cell or a box from a cell.
+fn sees(pvs: &Pvs, cell: CellIndex, target: &Target, json: bool) -> Result<(), Error> {
     let (seen, mut answer, words): (bool, Value, String) = match target {
         Target::Cell(to) => {
             let pairs = pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?;
-            let open = pairs.undecided.as_ref().is_some_and(|u| u.has(cell, *to));
-            let seen = pvs.sees(cell, *to)?;
+            let open = pairs
+                .undecided
+                .as_ref()
+                .is_some_and(|u| u.has(cell.0, to.0));
+            let seen = pvs.sees(cell.0, to.0)?;
             let state = match (seen, open, pvs.method()) {
                 (_, true, _) => "undecided",
                 (true, false, _) => "visible",
@@ -164,7 +172,7 @@ fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), Error> 
             )
         }
         Target::Box(min, max) => {
-            let seen = pvs.sees_box(cell, *min, *max)?;
+            let seen = pvs.sees_box(cell.0, *min, *max)?;
             (
                 seen,
                 json!({"box": {"min": min, "max": max}}),
@@ -172,7 +180,7 @@ fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), Error> 
             )
         }
     };
-    answer["cell"] = cell.into();
+    answer["cell"] = cell.0.into();
     answer["sees"] = seen.into();
     if json {
         return print(&answer.to_string());
@@ -184,14 +192,15 @@ fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), Error> 
 }
 
 /// Prints the set of a cell.
-fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> {
+fn set(pvs: &Pvs, cell: CellIndex, args: &QueryArgs, json: bool) -> Result<(), Error> {
     if args.items == Items::Clusters && pvs.granularity() != Granularity::Clusters {
         return Err(Error::input(
-            "the sets name no clusters; bake with --granularity clusters".to_owned(),
+            "the sets of the result contain no clusters; bake with --granularity clusters"
+                .to_owned(),
         ));
     }
     let [visible, undecided] = sets(pvs, cell, args.items)?;
-    let set_aside = pvs.is_set_aside(cell)?;
+    let set_aside = pvs.is_set_aside(cell.0)?;
     if json {
         let [min, max] = corners(pvs, cell);
         let items = args.items.name();
@@ -205,9 +214,9 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> 
             set_aside,
         });
     }
-    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    let [min, max] = pvs.cell_bounds(cell.0).unwrap_or_default();
     let aside = if set_aside {
-        "; SET ASIDE: this cell failed, everything is shown"
+        "; SET ASIDE: the tile of this cell failed, so the set contains every triangle"
     } else {
         ""
     };
@@ -246,10 +255,10 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> 
     })
 }
 
-/// The set of a cell as JSON.
+/// The set of a cell, for JSON.
 #[derive(Serialize)]
 struct CellAnswer {
-    cell: u32,
+    cell: CellIndex,
     min: [f64; 3],
     max: [f64; 3],
     items: &'static str,

@@ -1,23 +1,25 @@
-//! What `sightline query --why` asks about: a triangle or an object.
+//! The target of `sightline query --why`: a triangle or an object.
 
-/// How the number or name of an object begins where it could be taken for that of a triangle.
+use sightline::TriangleId;
+
+/// The prefix of an object's number or name, which distinguishes it from the number of a triangle.
 pub const OBJECT: &str = "object:";
 
-/// What --why asks about.
+/// The target of `--why`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum What {
-    /// A triangle, by its number.
-    Triangle(u32),
-    /// An object, by its name or number.
+pub enum QueryTarget {
+    /// A triangle with this number.
+    Triangle(TriangleId),
+    /// An object with this name or number.
     Object(String),
 }
 
-impl What {
-    /// Reads the value of --why: digits are a triangle, all else an object.
+impl QueryTarget {
+    /// Parses the value of `--why`. Digits are a triangle, any other text is an object.
     pub fn parse(text: &str) -> Result<Self, String> {
         match (text.strip_prefix(OBJECT).unwrap_or(text), text.parse()) {
             ("", _) => Err("give the number of a triangle or the name of an object".to_owned()),
-            (_, Ok(triangle)) => Ok(Self::Triangle(triangle)),
+            (_, Ok(triangle)) => Ok(Self::Triangle(TriangleId(triangle))),
             (object, Err(_)) => Ok(Self::Object(object.to_owned())),
         }
     }
@@ -28,10 +30,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_are_a_triangle_and_all_else_an_object() {
-        assert_eq!(What::parse("12"), Ok(What::Triangle(12)));
-        assert_eq!(What::parse("object:12"), Ok(What::Object("12".to_owned())));
-        assert_eq!(What::parse("door 3"), Ok(What::Object("door 3".to_owned())));
-        assert!(What::parse("").is_err() && What::parse("object:").is_err());
+    fn digits_are_triangle_and_other_text_is_object() {
+        assert_eq!(
+            QueryTarget::parse("12"),
+            Ok(QueryTarget::Triangle(TriangleId(12)))
+        );
+        assert_eq!(
+            QueryTarget::parse("object:12"),
+            Ok(QueryTarget::Object("12".to_owned()))
+        );
+        assert_eq!(
+            QueryTarget::parse("door 3"),
+            Ok(QueryTarget::Object("door 3".to_owned()))
+        );
+        assert!(QueryTarget::parse("").is_err() && QueryTarget::parse("object:").is_err());
     }
 }

@@ -1,5 +1,5 @@
-//! `sightline query --why`: the witness for a triangle or an object visible from a cell, or the blockers that
-//! hide it; in words, as JSON, as a picture.
+//! `sightline query --why`: prints the witness for a triangle or an object that is visible from a cell, or
+//! the blockers that hide it. The output is text, JSON or a picture.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -7,43 +7,43 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use sightline::Error;
 use sightline::output::{Format, Output};
 use sightline::tracers::open_tracer;
 use sightline::words::plural;
+use sightline::{CellIndex, Error};
 use sightline::{Each, NamedResult, explain_by_certificates, explain_by_query};
 use sightline_measure::Portrait;
 use sightline_model::TracerChoice;
 use sightline_pvs::Pvs;
-use sightline_scene::{Kind, Scene};
+use sightline_scene::{Scene, SurfaceKind};
 use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata};
 
-use crate::results::query_target::{OBJECT, What};
+use crate::results::query_target::{OBJECT, QueryTarget};
 use crate::terminal::printable;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Most blockers listed without --json.
+/// Maximum number of blockers that are listed without --json.
 const SHOWN: usize = 40;
 
-/// What is asked, and of what.
+/// A query with its result and its options.
 pub struct Question<'a> {
     pub pvs: &'a Pvs,
-    /// The result's file, for errors.
+    /// The path of the result's file, for errors.
     pub result: &'a Path,
-    pub cell: u32,
-    pub what: &'a What,
-    /// For new queries; else the result's certificates answer.
+    pub cell: CellIndex,
+    pub what: &'a QueryTarget,
+    /// The scene for new queries. Without it, the result's certificates answer.
     pub scene: Option<Arc<Scene>>,
-    /// Where the viewer is, in the cell.
+    /// The position of the viewer in the cell.
     pub eye: [f32; 3],
-    /// The picture to write.
+    /// The path of the picture to write.
     pub picture: Option<&'a Path>,
 }
 
-/// Prints why a cell's set has a triangle or an object, or has not: from the result's certificates, or by new
-/// queries if a scene is given.
+/// Prints the reason why a cell's set contains a triangle or an object, or does not. The reason comes from
+/// the result's certificates, or from new queries if a scene is given.
 pub fn why(question: &Question<'_>, json: bool) -> Result<(), Error> {
     let pvs = question.pvs;
     let picture_to = match question.picture {
@@ -51,23 +51,24 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), Error> {
         None => None,
     };
     let (about, triangles, mut answer) = match question.what {
-        What::Triangle(triangle) => {
-            if *triangle >= pvs.triangle_count() {
+        QueryTarget::Triangle(triangle) => {
+            if triangle.0 >= pvs.triangle_count() {
                 return Err(Error::usage(format!(
-                    "there is no triangle {triangle}: {} was baked from a scene of {} triangles",
+                    "there is no triangle {triangle}: {} was baked from a scene of {} triangles, \
+                     numbered from 0",
                     question.result.display(),
                     pvs.triangle_count()
                 )));
             }
             let mut answer = Value::Null;
-            question.each(&[*triangle], &mut |_, found| {
+            question.each(&[triangle.0], &mut |_, found| {
                 answer = found;
                 Ok(false)
             })?;
-            answer["triangle"] = (*triangle).into();
-            (format!("triangle {triangle}"), vec![*triangle], answer)
+            answer["triangle"] = triangle.0.into();
+            (format!("triangle {triangle}"), vec![triangle.0], answer)
         }
-        What::Object(name) => {
+        QueryTarget::Object(name) => {
             let index = object(question, name)?;
             let entry = &pvs.objects()[index];
             let triangles: Vec<u32> =
@@ -81,10 +82,10 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), Error> {
             )
         }
     };
-    answer["cell"] = question.cell.into();
+    answer["cell"] = question.cell.0.into();
     answer["asked"] = question.scene.is_some().into();
     if let (Some(path), Some(picture_to)) = (question.picture, &picture_to) {
-        draw(question, &triangles, &answer, (path, picture_to))?;
+        draw(question, &triangles, &answer, path, picture_to)?;
         answer["picture"] = path.display().to_string().into();
     }
     if json {
@@ -103,13 +104,13 @@ impl Question<'_> {
     fn each(&self, triangles: &[u32], each: &mut Each<'_>) -> Result<(), Error> {
         let result = NamedResult::new(self.pvs, self.result);
         match &self.scene {
-            Some(scene) => explain_by_query(result, scene, (self.cell, triangles), &|| false, each),
-            None => explain_by_certificates(result, (self.cell, triangles), each),
+            Some(scene) => explain_by_query(result, scene, self.cell, triangles, &|| false, each),
+            None => explain_by_certificates(result, self.cell, triangles, each),
         }
     }
 }
 
-/// The number of the object with this name or number.
+/// Returns the number of the object with this name or number.
 fn object(question: &Question<'_>, name: &str) -> Result<usize, Error> {
     let objects = question.pvs.objects();
     let named: Vec<usize> = (0..objects.len())
@@ -120,23 +121,23 @@ fn object(question: &Question<'_>, name: &str) -> Result<usize, Error> {
         ([one], _) => Ok(*one),
         ([], Some(number)) => Ok(number),
         ([], None) => Err(Error::usage(format!(
-            "{} has no object {name:?}: sightline info --json lists its {}",
+            "{} has no object {name:?}; `sightline info --json` lists its {}",
             question.result.display(),
             plural(objects.len(), "object")
         ))),
         ([first, .., last], _) => Err(Error::usage(format!(
-            "{} objects are called {name:?}, the first is {OBJECT}{first} and the last {OBJECT}{last}: name \
-             one by its number",
+            "{} objects have the name {name:?}, the first is {OBJECT}{first} and the last {OBJECT}{last}; \
+             give one of these numbers",
             named.len()
         ))),
     }
 }
 
-/// Whether an object is seen: it is as soon as one of its triangles is.
+/// Explains the visibility of an object, which is visible if one of its triangles is visible.
 fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, Error> {
     let mut set = Vec::new();
-    question.pvs.visible(question.cell, &mut set)?;
-    // Triangles in the set first: if the object is seen, one of them is.
+    question.pvs.visible(question.cell.0, &mut set)?;
+    // Triangles in the set come first: if the object is visible, one of them is visible.
     let (mut order, others): (Vec<u32>, Vec<u32>) =
         triangles.iter().partition(|t| set.binary_search(t).is_ok());
     order.extend(others);
@@ -146,7 +147,7 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, Error>
     let asked = question.each(&order, &mut |triangle, mut answer| {
         match answer["state"].as_str() {
             Some("visible") => {
-                answer["triangle"] = triangle.into();
+                answer["triangle"] = triangle.0.into();
                 seen = Some(answer);
                 return Ok(false);
             }
@@ -192,10 +193,10 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, Error>
     }))
 }
 
-/// An answer as a sentence.
+/// Formats the answer about a triangle or an object as a sentence that begins with `about`.
 fn in_words(about: &str, answer: &Value) -> String {
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
-    // Of an object one triangle is seen.
+    // For a visible object, the answer names one visible triangle.
     let of_object = answer["triangle"]
         .as_u64()
         .filter(|_| answer["object"].is_u64())
@@ -222,7 +223,7 @@ fn in_words(about: &str, answer: &Value) -> String {
             let reasons: Vec<&str> = reasons.iter().filter_map(Value::as_str).collect();
             let behind = match blockers {
                 [] => String::new(),
-                _ => format!("; what they are behind are triangles {}", listed(blockers)),
+                _ => format!("; the triangles in front of them are {}", listed(blockers)),
             };
             format!(
                 "{about}: hidden, because all its triangles {}{behind}",
@@ -238,7 +239,7 @@ fn in_words(about: &str, answer: &Value) -> String {
         }
         Some("hidden") if blockers.is_empty() => {
             format!(
-                "{about}: hidden by the closed surface it belongs to, because its inner side faces the cell"
+                "{about}: hidden by its own closed surface, because its inner side faces the cell"
             )
         }
         Some("hidden") => {
@@ -246,14 +247,13 @@ fn in_words(about: &str, answer: &Value) -> String {
                 (Some(1), _) => " together with one other triangle".to_owned(),
                 (Some(n @ 2..), _) => format!(" together with {n} other triangles"),
                 (_, true) => {
-                    " from one side by the closed surface it belongs to, from the other side"
-                        .to_owned()
+                    " from one side by its own closed surface, from the other side".to_owned()
                 }
                 _ => String::new(),
             };
             let from = match answer["from"].as_array().map(Vec::as_slice) {
                 Some([min, max]) => {
-                    format!(", like from the whole box {min} to {max} around the cell,")
+                    format!(", as from the whole box {min} to {max} around the cell,")
                 }
                 _ => String::new(),
             };
@@ -276,7 +276,8 @@ fn in_words(about: &str, answer: &Value) -> String {
             )
         }
         _ => format!(
-            "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
+            "{about}: undecided{}; undecided triangles are in the set, so no visible one is \
+             missing",
             answer["reason"]
                 .as_str()
                 .map_or(String::new(), |r| format!(" ({r})"))
@@ -286,13 +287,13 @@ fn in_words(about: &str, answer: &Value) -> String {
 
 /// Returns the text for a kind of triangles that are in no set.
 fn kind_text(name: &str) -> &str {
-    match Kind::from_name(name) {
-        Some(Kind::Hidden) => "switched off by the scene's file (KHR_node_visibility)",
+    match SurfaceKind::from_name(name) {
+        Some(SurfaceKind::Hidden) => "switched off by the scene's file (KHR_node_visibility)",
         _ => name,
     }
 }
 
-/// Numbers of triangles, the first of many.
+/// Formats the numbers of triangles, at most the first 40.
 fn listed(triangles: &[Value]) -> String {
     let list: Vec<String> = triangles.iter().take(SHOWN).map(Value::to_string).collect();
     match triangles.len().saturating_sub(SHOWN) {
@@ -301,16 +302,17 @@ fn listed(triangles: &[Value]) -> String {
     }
 }
 
-/// Draws an answer: from where the target is seen, or else from the viewpoint.
+/// Draws an answer from a point that sees the target, or otherwise from the viewpoint.
 fn draw(
     question: &Question<'_>,
     target: &[u32],
     answer: &Value,
-    (path, picture_to): (&Path, &Output),
+    path: &Path,
+    picture_to: &Output,
 ) -> Result<(), Error> {
     let Some(scene) = &question.scene else {
         return Err(Error::usage(
-            "--picture draws the scene; give it with --scene".to_owned(),
+            "--picture needs the scene; give --scene".to_owned(),
         ));
     };
     let end = |k: usize| {

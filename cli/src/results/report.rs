@@ -1,4 +1,5 @@
-//! `sightline report`: a result's error, its cells over budget, and who is to blame, as one HTML document.
+//! `sightline report`: writes a result's error, its cells over budget and the responsible openings as one
+//! HTML document.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,9 +13,9 @@ use sightline::output::{Format, Output};
 use sightline::tracers::{note_other, open_tracer};
 use sightline::viewpoints::region_of_result;
 use sightline::words::plural;
-use sightline_measure::{Frame, Options, Report, Viewpoints, measure};
+use sightline_measure::{Frame, Report, Viewpoints, WorstFrameOptions, measure};
 use sightline_pvs::Pvs;
-use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budget, page};
+use sightline_report::{Blame, Budget, Costs, OverBudget, PageHeader, blame, over_budget, page};
 use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 
@@ -26,21 +27,21 @@ use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Worst frames that are shown.
+/// The number of worst frames that are shown.
 const FRAMES: usize = 6;
-/// Cells that are listed without a budget.
+/// The number of cells that are listed without a budget.
 const COSTLIEST: usize = 20;
 
-/// An opening that saves a smaller part is not told of on stdout.
+/// The minimum saving of an opening that the summary on stdout names, as a fraction of all drawn triangles.
 const WORTH: f64 = 0.005;
 
-/// Makes the report.
+/// Writes the report.
 pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), Error> {
     let output = Output::check(&args.output, Format::Html, Some(&args.result))?;
     let budget = args.budget.as_deref().map(budget).transpose()?;
     if !(8..=1024).contains(&args.resolution) {
         return Err(Error::usage(format!(
-            "--resolution {} is not between 8 and 1024",
+            "--resolution {} is not between 8 and 1024 pixels",
             args.resolution
         )));
     }
@@ -54,9 +55,9 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), Error> {
         .cells
         .iter()
         .map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
-    let about = About {
+    let about = PageHeader {
         title: title(&args.result),
-        summary: Summary::of(&args.result)?.lines(),
+        summary: Summary::open(&args.result)?.lines(),
         error: &found.error,
         frames: found.frames,
         cells: sizes.zip(bounds).collect(),
@@ -72,7 +73,7 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), Error> {
     tell(
         &output,
         &found.error,
-        (&over, budget.is_some()),
+        budget.is_some().then_some(&over),
         &found.blame,
         as_json,
     )?;
@@ -100,27 +101,28 @@ fn budget(path: &Path) -> Result<Budget, Error> {
             path.display()
         ))
     };
-    let text = std::fs::read_to_string(path).map_err(|e| bad(format!("it cannot be read: {e}")))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|e| bad(format!("the file cannot be read: {e}")))?;
     let budget: Budget = serde_json::from_str(&text).map_err(|e| bad(e.to_string()))?;
     if (budget.triangles, budget.objects, budget.bytes) == (None, None, None) {
-        return Err(bad("it limits nothing".to_owned()));
+        return Err(bad("the budget contains no limit".to_owned()));
     }
     Ok(budget)
 }
 
-/// What was measured.
-struct Found {
+/// The measurements of a report.
+struct ReportContents {
     error: Report,
     /// The worst frames with their pictures.
     frames: Vec<(Frame, Vec<u8>)>,
     costs: Costs,
-    /// The same by objects, for budgets.
+    /// The costs by objects, for budgets.
     by_object: Costs,
     blame: Blame,
 }
 
-/// Measures the error and looks for openings.
-fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, Error> {
+/// Measures the error, and searches for openings.
+fn look(args: &ReportArgs, pvs: &Pvs) -> Result<ReportContents, Error> {
     let result = NamedResult::new(pvs, &args.result);
     let scene = scene_of(&args.scene, &args.kinds, result)?;
     let region = region_of_result(result, &scene)?;
@@ -146,7 +148,7 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, Error> {
     let renderer =
         layers::renderer(&*backend, &prepared, spec, None, far).map_err(Error::internal)?;
     let folder = tempfile::tempdir().map_err(Error::internal)?;
-    let options = Options {
+    let options = WorstFrameOptions {
         images_dir: Some(folder.path().to_owned()),
         turntable: None,
         images: FRAMES,
@@ -167,16 +169,15 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, Error> {
     }
     let input =
         |e: sightline_report::ReportError| Error::input(format!("{}: {e}", args.result.display()));
-    let costs = Costs::of(pvs, &scene).map_err(input)?;
-    let by_object = Costs::of_objects(pvs, &scene).map_err(input)?;
+    let costs = Costs::count(pvs, &scene).map_err(input)?;
+    let by_object = Costs::count_objects(pvs, &scene).map_err(input)?;
     let sight = SightLineTracer::new(&*backend, prepared.traced())
         .map_err(Error::internal)?
         .up_to(far);
-    // Viewpoints inside of walls count where the result says so, as the sets count them.
+    // Viewpoints inside walls count if they count in the sets of the result.
     let in_region = |p: glam::Vec3| region.as_ref().is_none_or(|region| region.holds(p));
-    let blame =
-        blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;
-    Ok(Found {
+    let blame = blame(&sight, pvs, &scene, &costs, args.seed, step, &in_region).map_err(input)?;
+    Ok(ReportContents {
         error,
         frames,
         costs,
@@ -185,11 +186,11 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, Error> {
     })
 }
 
-/// Says on stdout what is in the report.
+/// Prints a summary of the report to stdout.
 fn tell(
     output: &Output,
     error: &Report,
-    (over, has_budget): (&[OverBudget], bool),
+    over: Option<&Vec<OverBudget>>,
     blame: &Blame,
     as_json: bool,
 ) -> Result<(), Error> {
@@ -198,24 +199,25 @@ fn tell(
         return print(
             &json!({
                 "output": path, "mean_error": error.mean_error, "p99_error": error.p99_error,
-                "max_error": error.max_error, "over_budget": has_budget.then_some(over),
+                "max_error": error.max_error, "over_budget": over,
                 "blame": blame,
             })
             .to_string(),
         );
     }
     print(&format!("wrote {path}"))?;
-    if has_budget {
+    if let Some(over) = over {
         print(&format!("cells over budget: {}", over.len()))?;
     }
     if let Some(best) = blame.openings.first().filter(|best| best.saves >= WORTH) {
         let [min, max] = best.opening.bounds;
         print(&format!(
-            "closing the opening in the box {min:?} to {max:?} would save about {:.1} % of all that is drawn",
+            "closing the opening in the box {min:?} to {max:?} would save about {:.1} % of the triangles \
+             that all cells draw",
             best.saves * 100.0
         ))?;
     } else {
-        say("no single opening was found that closing would save much");
+        say("the command found no single opening whose closing would save much");
     }
     Ok(())
 }

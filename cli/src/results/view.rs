@@ -1,4 +1,5 @@
-//! `sightline view`: a result and its scene as a page, written as one file or served on this machine.
+//! `sightline view`: shows a result and its scene as a page, which it writes to a file or serves on this
+//! machine.
 
 use std::io::IsTerminal as _;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -8,14 +9,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use sightline::Error;
 use sightline::NamedResult;
 use sightline::output::{Format, Output};
 use sightline::viewpoints::region_of_result;
 use sightline::words::plural;
+use sightline::{CellIndex, Error};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
-use sightline_view::{Ask, Map, View, Worst, page};
+use sightline_view::{Map, View, ViewRequest, Worst, page};
 
 use crate::args::results::ViewArgs;
 use crate::results::info::Summary;
@@ -25,10 +26,11 @@ use crate::scenes::read::scene_of;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Most cells for which a viewpoint is looked for in the region that walls enclose.
+/// Maximum number of cells of a result for which the command searches a viewpoint per cell, if walls enclose
+/// the viewpoints.
 const MOST_PLACES: u32 = 1 << 15;
 
-/// Makes the page, and writes or serves it.
+/// Creates the page, and writes or serves it.
 pub fn run(args: &ViewArgs, json: bool) -> Result<(), Error> {
     let output = args
         .output
@@ -45,11 +47,11 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), Error> {
         None => None,
     };
     let served = output.is_none();
-    let mut view = View::of(&pvs, scene.as_deref())?;
+    let mut view = View::new(&pvs, scene.as_deref())?;
     let of_served = scene.as_deref().filter(|_| served);
-    view.ask = of_served.and_then(|scene| Ask::about(scene, view_server::PATH, None));
+    view.ask = of_served.and_then(|scene| ViewRequest::about(scene, view_server::PATH, None));
     view.title = title(&args.result, args.scene.as_deref());
-    view.about = Summary::of(&args.result)?.lines().join("\n");
+    view.about = Summary::open(&args.result)?.lines().join("\n");
     if let Some(up) = args.up {
         view.up = if up.to_string() == "z" { 2 } else { 1 };
     }
@@ -66,10 +68,10 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), Error> {
         .transpose()?
         .unwrap_or_default();
     view.start = match args.cell {
-        Some(cell) if cell < pvs.cells() => cell,
+        Some(cell) if cell < pvs.cells() => CellIndex(cell),
         Some(cell) => {
             return Err(Error::usage(format!(
-                "--cell {cell}: {} has {}, from 0",
+                "--cell {cell} does not exist: {} has {}, numbered from 0",
                 args.result.display(),
                 plural(pvs.cells() as usize, "cell")
             )));
@@ -89,7 +91,7 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), Error> {
                 false => format!("wrote {path}, {bytes} bytes: open it in a browser"),
             })
         }
-        None => serve_page(args, page, (pvs, scene), json),
+        None => serve_page(args, page, pvs, scene, json),
     }
 }
 
@@ -106,7 +108,8 @@ fn title(result: &Path, scene: Option<&Path>) -> String {
     }
 }
 
-/// A viewpoint for each cell, where viewpoints are in a region alone; NaN where none was found.
+/// Returns a viewpoint for each cell if walls restrict the viewpoints to a region, and otherwise an empty
+/// list. The coordinates are NaN for a cell without a found viewpoint.
 fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3]>, Error> {
     let Some(scene) = scene.filter(|_| pvs.cells() <= MOST_PLACES) else {
         return Ok(Vec::new());
@@ -114,29 +117,30 @@ fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3
     let Some(region) = region_of_result(NamedResult::new(pvs, result), scene)? else {
         return Ok(Vec::new());
     };
-    let viewpoint_in = |cell: u32| {
-        let [min, max] = pvs.cell_bounds(cell)?;
+    let viewpoint_in = |cell: CellIndex| {
+        let [min, max] = pvs.cell_bounds(cell.0)?;
         region.any_in(sightline_scene::Aabb::new(min.into(), max.into()))
     };
     Ok((0..pvs.cells())
-        .map(|cell| viewpoint_in(cell).map_or([f32::NAN; 3], |p| p.to_array()))
+        .map(|cell| viewpoint_in(CellIndex(cell)).map_or([f32::NAN; 3], |p| p.to_array()))
         .collect())
 }
 
-/// The worst frames of what `sightline measure` has printed.
+/// Reads the worst frames from the output of `sightline measure`.
 fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, Error> {
     let bad = |what: String| {
         Error::input(format!(
-            "{}: {what}; give --worst a file with what `sightline measure` printed",
+            "{}: {what}; give --worst the output of `sightline measure --json`",
             file.display()
         ))
     };
-    let text = std::fs::read_to_string(file).map_err(|e| bad(format!("it cannot be read: {e}")))?;
+    let text =
+        std::fs::read_to_string(file).map_err(|e| bad(format!("the file cannot be read: {e}")))?;
     let report: Value =
-        serde_json::from_str(&text).map_err(|e| bad(format!("it is no JSON: {e}")))?;
+        serde_json::from_str(&text).map_err(|e| bad(format!("the content is not JSON: {e}")))?;
     let frames = report["worst"]
         .as_array()
-        .ok_or_else(|| bad("it has no list \"worst\"".to_owned()))?;
+        .ok_or_else(|| bad("the list \"worst\" is missing".to_owned()))?;
     let frame = |value: &Value| {
         let at = value["viewpoint"].as_array().filter(|at| at.len() == 3)?;
         let mut viewpoint = [0.0; 3];
@@ -148,13 +152,13 @@ fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, Error> {
             .filter(|cell| *cell < pvs.cells())?;
         Some(Worst {
             viewpoint,
-            cell,
+            cell: CellIndex(cell),
             error: value["error"].as_f64()?,
         })
     };
     let all: Option<Vec<Worst>> = frames.iter().map(frame).collect();
     all.ok_or_else(|| {
-        bad("a frame of its list \"worst\" is malformed, or of another result".to_owned())
+        bad("a frame of the list \"worst\" is malformed, or belongs to another result".to_owned())
     })
 }
 
@@ -162,7 +166,8 @@ fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, Error> {
 fn serve_page(
     args: &ViewArgs,
     page: String,
-    (pvs, scene): (Pvs, Option<Arc<Scene>>),
+    pvs: Pvs,
+    scene: Option<Arc<Scene>>,
     json: bool,
 ) -> Result<(), Error> {
     let runtime = sightline::process::runtime()?;
@@ -170,7 +175,7 @@ fn serve_page(
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
         let listener = tokio::net::TcpListener::bind(address).await.map_err(|e| {
             Error::usage(format!(
-                "{address} cannot be listened on: {e}; give another --port, or 0 for any"
+                "the page cannot be served at {address}: {e}; give another --port, or 0 for any free port"
             ))
         })?;
         let port = listener.local_addr().map_err(Error::internal)?.port();
@@ -186,7 +191,7 @@ fn serve_page(
             open(&url);
         }
         let server = axum::serve(listener, view_server::pages(page, &args.result, pvs, scene));
-        // A query that is under way would delay a graceful end.
+        // A running query would delay a graceful end, so the server is dropped.
         tokio::select! {
             ended = async { server.await } => ended.map_err(Error::internal),
             () = crate::terminal::interrupt::stop_signal() => Ok(()),

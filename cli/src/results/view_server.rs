@@ -1,4 +1,4 @@
-//! The server of `sightline view`: the page, and exact answers about what is clicked in it.
+//! The server of `sightline view`: the page, and exact answers about the triangles that the user clicks.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,32 +12,33 @@ use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use serde::Deserialize;
 use serde_json::json;
-use sightline::{NamedResult, explain_as_message};
+use sightline::{CellIndex, NamedResult, TriangleId, explain_as_message};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use tokio::sync::Mutex;
 
-/// The path of exact answers.
+/// The URL path at which the server answers a [`PageQuestion`].
 pub const PATH: &str = "/why";
 
-/// What the answers are about.
+/// The page and the data of its answers.
 struct Served {
     page: String,
     result: PathBuf,
     pvs: Pvs,
     scene: Option<Arc<Scene>>,
-    /// One question at a time: each takes a core and the memory of the prepared scene.
+    /// The lock that limits the server to one query at a time. Each query uses a core and the memory of the
+    /// prepared scene.
     turn: Arc<Mutex<()>>,
 }
 
-/// What the page asks.
+/// A query of the page.
 #[derive(Clone, Copy, Debug, Deserialize)]
 struct PageQuestion {
-    cell: u32,
-    triangle: u32,
+    cell: CellIndex,
+    triangle: TriangleId,
 }
 
-/// The routes of the server.
+/// Returns the routes of the server.
 pub fn pages(page: String, result: &Path, pvs: Pvs, scene: Option<Arc<Scene>>) -> Router {
     let served = Served {
         page,
@@ -53,7 +54,7 @@ pub fn pages(page: String, result: &Path, pvs: Pvs, scene: Option<Arc<Scene>>) -
         .with_state(Arc::new(served))
 }
 
-/// Refuses the pages of other sites, which could reach this address under a name of their own.
+/// Rejects requests of other sites, which could reach this address under their own host names.
 async fn only_by_this_machine(headers: HeaderMap, request: Request, next: Next) -> Response {
     let host = headers
         .get(header::HOST)
@@ -68,12 +69,17 @@ async fn only_by_this_machine(headers: HeaderMap, request: Request, next: Next) 
         .get(header::ORIGIN)
         .is_none_or(|origin| origin.as_bytes() == own(host).as_bytes());
     if !["127.0.0.1", "localhost"].contains(&name.as_str()) || !is_own {
-        return (StatusCode::FORBIDDEN, "ask for 127.0.0.1\n").into_response();
+        return (
+            StatusCode::FORBIDDEN,
+            "the server answers only its own page, at the host 127.0.0.1 or \
+         localhost\n",
+        )
+            .into_response();
     }
     next.run(request).await
 }
 
-/// The origin of this server's own page.
+/// Returns the origin of this server's own page.
 fn own(host: &str) -> String {
     format!("http://{host}")
 }
@@ -96,18 +102,22 @@ async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes)
             json!({"message": message}).to_string(),
         )
     };
-    // A form of another site cannot name this type.
+    // A form of another site cannot send this content type.
     if headers
         .get(header::CONTENT_TYPE)
         .is_none_or(|kind| kind.as_bytes() != b"application/json")
     {
-        return refuse("ask with content-type: application/json");
+        return refuse("send the request with content-type: application/json");
     }
     let asked: PageQuestion = match serde_json::from_slice(&body) {
         Ok(asked) => asked,
-        Err(e) => return refuse(&format!("ask as {{\"cell\":0,\"triangle\":0}}: {e}")),
+        Err(e) => {
+            return refuse(&format!(
+                "send a request such as {{\"cell\":0,\"triangle\":0}}: {e}"
+            ));
+        }
     };
-    // The turn goes with the query, which runs on when the browser does not wait for it.
+    // The query owns the lock, because it continues if the browser no longer waits.
     let turn = Arc::clone(&served.turn).lock_owned().await;
     let query = move || {
         let _turn = turn;
@@ -128,11 +138,13 @@ fn answer(
         pvs, scene, result, ..
     } = served;
     let scene = scene.as_ref().ok_or("the page has no scene")?;
-    if cell >= pvs.cells() || triangle >= pvs.triangle_count() {
-        return Err(format!("there is no cell {cell} or no triangle {triangle}"));
+    if cell.0 >= pvs.cells() || triangle.0 >= pvs.triangle_count() {
+        return Err(format!(
+            "cell {cell} or triangle {triangle} does not exist in the result"
+        ));
     }
     let result = NamedResult::new(pvs, result);
-    let answer = explain_as_message(result, scene, (cell, triangle), &|| false);
+    let answer = explain_as_message(result, scene, cell, triangle, &|| false);
     let answer = answer.map_err(|e| e.to_string())?;
     serde_json::to_string(&answer).map_err(|e| e.to_string())
 }

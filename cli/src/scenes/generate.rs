@@ -1,25 +1,25 @@
-//! `sightline generate`: test scenes.
+//! `sightline generate`: writes a generated test scene.
 
 use std::path::Path;
 
 use sightline::output::{Format, Output};
 use sightline::{Error, Scene};
-use sightline_scene::generate::{GenerateError, Kind, Params, generate};
+use sightline_scene::generate::{GenerateError, SceneKind, SceneParams, generate};
 use sightline_scene::glb_out::{GlbError, write_glb};
 
-use crate::args::cli::{GenerateArgs, SceneKind};
+use crate::args::cli::{GenerateArgs, GeneratedKind};
 use crate::terminal::stdout::print;
 
-/// Makes a test scene.
+/// Generates a test scene and writes it.
 pub fn run(args: &GenerateArgs, json: bool) -> Result<(), Error> {
     let kind = match args.kind {
-        SceneKind::Forest => Kind::Forest,
-        SceneKind::Town => Kind::Town,
-        SceneKind::Rooms => Kind::Rooms,
-        SceneKind::Maze => Kind::Maze,
-        SceneKind::Slits => Kind::Slits,
+        GeneratedKind::Forest => SceneKind::Forest,
+        GeneratedKind::Town => SceneKind::Town,
+        GeneratedKind::Rooms => SceneKind::Rooms,
+        GeneratedKind::Maze => SceneKind::Maze,
+        GeneratedKind::Slits => SceneKind::Slits,
     };
-    let params = Params {
+    let params = SceneParams {
         seed: args.seed,
         triangles: args.triangles,
         trees: args.trees,

@@ -1,4 +1,4 @@
-//! `sightline mesh`: the triangles of a scene as a PLY file.
+//! `sightline mesh`: writes the triangles of a scene as a PLY file.
 
 use sightline::Error;
 use sightline::output::{Format, Output};
@@ -6,7 +6,7 @@ use sightline::output::{Format, Output};
 use crate::args::cli::MeshArgs;
 use crate::scenes::generate::print_written;
 
-/// Writes the triangles of a scene as the program reads and numbers them.
+/// Writes the triangles of a scene in the order of their ids.
 pub fn run(args: &MeshArgs, json: bool) -> Result<(), Error> {
     let output = Output::check(&args.output, Format::Ply, Some(&args.scene))?;
     let scene = sightline_scene::load(&args.scene)?;

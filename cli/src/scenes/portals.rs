@@ -1,4 +1,4 @@
-//! `sightline portals`: a scene divided along its walls, in numbers and as a file to look at.
+//! `sightline portals`: divides a scene along its walls, and prints numbers and writes a file for viewing.
 
 use std::collections::BTreeSet;
 
@@ -19,9 +19,9 @@ use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Points that are tried when none are given.
+/// The number of points that the command tries if the arguments contain no point.
 const TRIED: usize = 48;
-/// Enclosed spaces that are listed.
+/// Maximum number of enclosed spaces that the command lists, the largest first.
 const LISTED: usize = 8;
 
 /// A space that walls enclose, with a point in it.
@@ -31,7 +31,7 @@ struct Space {
     volume: f64,
 }
 
-/// Divides a scene and says what was found.
+/// Divides a scene, and prints the numbers of cells and portals.
 pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
     let output = args
         .output
@@ -43,7 +43,8 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
     if let Some(point) = args.reachable_from.iter().find(outside) {
         let bounds = scene.bounds();
         return Err(Error::input(format!(
-            "--reachable-from: {point:?} is outside the scene, which extends from {} to {}; give one inside",
+            "--reachable-from: {point:?} is outside the scene, which extends from {} to {}; give a point \
+             inside",
             bounds.min, bounds.max
         )));
     }
@@ -51,7 +52,7 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
         return enclosed_spaces(args, &scene, output.as_ref(), json);
     }
     let walls = Walls::around(&scene, &args.reachable_from, &Terminal::new())?;
-    // What is outside the scene's box is no part of it.
+    // The space outside the scene's box is not part of the region.
     let inside: Vec<LeafId> = walls
         .reached
         .iter()
@@ -66,7 +67,7 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
         .map(|l| walls.tree.leaf(*l).detail.len())
         .sum::<usize>();
     let is_closed = walls.enclosure == Enclosure::Closed;
-    // Where there is a way out, parts reach beyond the scene's box.
+    // With a way out, parts extend beyond the scene's box, so their share is undefined.
     let share = is_closed.then_some(volume / volume_of(&scene));
     if let Some(output) = &output {
         draw(args, output, &walls.tree, &parts, &inner, way(&walls))?;
@@ -82,7 +83,8 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
     }
     print(&walls.in_words())?;
     print(&format!(
-        "{} of {} are reached, with {} between them; {} inside divide nothing",
+        "the points reach {} of {}, with {} between them; {} in the reached parts lie in no splitting \
+         plane",
         inside.len(),
         plural(walls.tree.len() - 1, "convex part"),
         plural(inner.len(), "opening"),
@@ -90,21 +92,23 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
     ))?;
     let use_of_it = match &walls.enclosure {
         Enclosure::Closed => format!(
-            "they fill {:.1} % of the scene's box: `sightline bake --reachable-from` leaves out the rest",
+            "the reached parts fill {:.1} % of the scene's box: `sightline bake --reachable-from` skips \
+             the rest",
             100.0 * share.unwrap_or_default()
         ),
         Enclosure::Leak(..) => {
-            "walls will not help `sightline bake --reachable-from` until the way out is closed"
+            "`sightline bake --reachable-from` uses walls only after the way out is closed"
                 .to_owned()
         }
         Enclosure::Unknown | Enclosure::Stopped => {
-            "`sightline bake --reachable-from` marks parts of cells by rays then".to_owned()
+            "without known walls, `sightline bake --reachable-from` finds the reached parts of cells with \
+             rays".to_owned()
         }
     };
     print(&use_of_it)
 }
 
-/// Without points: the spaces that walls enclose around some points of the scene.
+/// Prints the spaces that walls enclose around sampled points of the scene, if no points are given.
 fn enclosed_spaces(
     args: &PortalsArgs,
     scene: &Scene,
@@ -132,7 +136,7 @@ fn enclosed_spaces(
             Enclosure::Unknown | Enclosure::Stopped => unknown += 1,
         }
     }
-    // Later points have divided the leaves of earlier ones.
+    // Later points have divided the leaves of earlier points, so the leaves are collected again.
     let mut spaces: Vec<Space> = closed
         .into_iter()
         .map(|(point, _)| {
@@ -172,13 +176,14 @@ fn enclosed_spaces(
     }
     if unknown > 0 {
         print(&format!(
-            "of {unknown} of {TRIED} points it is not known: there are too many walls"
+            "for {unknown} of {TRIED} points, it is unknown if walls enclose them, because the scene has \
+             too many walls"
         ))?;
     }
     if spaces.is_empty() {
         return print(&format!(
-            "no walls enclose any of {TRIED} points of the scene's box; give --reachable-from a point where \
-             a viewpoint can be, and the way out of the scene is shown"
+            "no walls enclose any of {TRIED} points of the scene's box; give --reachable-from a point \
+             where a viewpoint can be to print the way out of the scene"
         ));
     }
     print("walls enclose these spaces (the insides of solids are among them):")?;
@@ -199,7 +204,7 @@ fn volume_of(scene: &Scene) -> f64 {
     size.x * size.y * size.z
 }
 
-/// The portals between two of some leaves, ascending.
+/// Returns the portals between two of the given leaves, ascending.
 fn portals_of(tree: &Tree, leaves: &[LeafId]) -> Vec<PortalId> {
     let mut all: Vec<PortalId> = leaves
         .iter()
@@ -216,7 +221,7 @@ fn portals_of(tree: &Tree, leaves: &[LeafId]) -> Vec<PortalId> {
     all
 }
 
-/// The openings on the way out.
+/// Returns the openings on the way out, or `None` if the walls are closed.
 fn way(walls: &Walls) -> Option<Vec<&Face>> {
     let Enclosure::Leak(_, portals) = &walls.enclosure else {
         return None;
@@ -240,7 +245,7 @@ fn way_json(walls: &Walls) -> Value {
     })
 }
 
-/// Writes cells, portals and the way out as objects.
+/// Writes a GLB file with the cells, the portals and the way out as objects.
 fn draw(
     args: &PortalsArgs,
     output: &Output,
@@ -277,7 +282,7 @@ fn draw(
         add("way out".to_owned(), &mut way.into_iter());
     }
     if objects.is_empty() {
-        say("note: nothing is reached, so nothing was written");
+        say("note: the points reach no cell, so no file was written");
         return Ok(());
     }
     let scene = Scene::new("cells and portals", triangles, objects).map_err(Error::internal)?;

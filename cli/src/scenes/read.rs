@@ -1,4 +1,4 @@
-//! Scene files of commands, read with the flags about kinds and sides.
+//! The reader of scene files for commands, with the flags about kinds and sides.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ pub fn scene(path: &Path, kinds: &KindArgs) -> Result<Arc<Scene>, Error> {
     read_scene(&source, &kinds.options, &Terminal::new())
 }
 
-/// Reads the scene file of a result: with the flags of the user, or otherwise the flags of the bake.
+/// Reads the scene file of a result, with the flags of the user or otherwise the flags of the bake.
 pub fn scene_of(
     path: &Path,
     kinds: &KindArgs,

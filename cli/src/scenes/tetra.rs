@@ -1,4 +1,5 @@
-//! `sightline tetra`: the space between surfaces in convex cells, written to a file, or a file checked.
+//! `sightline tetra`: divides the space between surfaces into convex cells and writes a file, or checks a
+//! file.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use sightline_scene::Scene;
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::surfaces::{FLAT, Surfaces};
-use sightline_tetra::{BuildError, Stage, TetsError, Watch, build};
+use sightline_tetra::{BuildError, BuildObserver, BuildStage, TetsError, build};
 
 use crate::args::tetra::TetraArgs;
 use crate::bake::bake::peak_memory;
@@ -26,11 +27,11 @@ use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
 
-/// Bytes that the process has at its peak for each face of a cell while it exports tetrahedra: 430 to 540 on
-/// four scenes (`peak_memory_bytes` of `sightline --json tetra … --export`).
+/// The peak memory per face of a cell while tetrahedra are exported, in bytes. Measured: 430 to 540 on four
+/// scenes (`peak_memory_bytes` of `sightline --json tetra … --export`).
 const EXPORT: u64 = 480;
 
-/// Builds cells, or checks a file.
+/// Builds cells and writes their file, or checks a file.
 pub fn run(args: &TetraArgs, json: bool) -> Result<(), Error> {
     sightline::process::use_threads(threads(args.threads.map(usize::from)))?;
     match (&args.tets, &args.output) {
@@ -42,12 +43,11 @@ pub fn run(args: &TetraArgs, json: bool) -> Result<(), Error> {
     }
 }
 
-/// Reads the scene, and refuses what cells cannot stand for.
+/// Reads the scene, and returns an error if cells cannot represent it.
 fn read(args: &TetraArgs) -> Result<Arc<Scene>, Error> {
     if args.kinds.options.cull_back_faces {
         return Err(Error::usage(
-            "cells are about triangles that are met from both sides; leave out --cull-back-faces"
-                .to_owned(),
+            "cells need both sides of triangles; omit --cull-back-faces".to_owned(),
         ));
     }
     let scene = scene(&args.scene, &args.kinds)?;
@@ -55,18 +55,18 @@ fn read(args: &TetraArgs) -> Result<Arc<Scene>, Error> {
     Ok(scene)
 }
 
-/// Shows how far the work is, and ends it before it takes more memory than there is.
+/// An observer that shows progress, and ends the work before it exceeds the available memory.
 struct Follower {
     progress: Terminal,
     taken_before: u64,
 }
 
-impl Watch for Follower {
-    fn done(&self, stage: Stage, done: u64, total: u64) {
+impl BuildObserver for Follower {
+    fn done(&self, stage: BuildStage, done: u64, total: u64) {
         let what = match stage {
-            Stage::Points => "points",
-            Stage::Cut => "tetrahedra cut",
-            Stage::Faces => "tetrahedra gathered",
+            BuildStage::Points => "points",
+            BuildStage::Cut => "tetrahedra cut",
+            BuildStage::Faces => "tetrahedra gathered",
         };
         if done > 0 {
             self.progress.count_so_far(done, total, what);
@@ -79,16 +79,15 @@ impl Watch for Follower {
 }
 
 impl Follower {
-    /// Whether there is memory for something that takes so many bytes, with what has been taken since the
-    /// start.
+    /// Checks that memory is available for `bytes` in total since the start.
     fn may_take(&self, what: &str, bytes: u64) -> Result<(), String> {
         let taken = memory::resident()
             .unwrap_or_default()
             .saturating_sub(self.taken_before);
         match memory::available() {
             Some(free) if bytes.saturating_sub(taken) > free => Err(format!(
-                "{what} will take {} of memory or more, and {} are free; end other programs, divide the \
-                 scene, or use a machine with more",
+                "{what} need at least {} of memory, and {} are free; end other programs, divide the \
+                 scene, or use a machine with more memory",
                 memory::in_words(bytes),
                 memory::in_words(free)
             )),
@@ -107,7 +106,7 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), Error> {
     let mesh = mesh.transpose()?;
     if mesh.as_ref().is_some_and(|mesh| mesh.is(&file)) {
         return Err(Error::usage(format!(
-            "-o and --export both name {}; give each a file of its own",
+            "-o and --export both name {}; give two different files",
             output.display()
         )));
     }
@@ -137,7 +136,7 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), Error> {
             .may_take("the tetrahedra of --export", bytes)
             .map_err(|why| {
                 Error::input(format!(
-                    "{} is written, without --export: {why}",
+                    "{} is complete, but the file of --export was not written: {why}",
                     output.display()
                 ))
             })?;
@@ -170,7 +169,7 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), Error> {
         return print(&value.to_string());
     }
     print(&format!(
-        "{} with {}: {} Delaunay tetrahedra, {} of which triangles cut into {} with {}",
+        "{} with {}: {} Delaunay tetrahedra, {} of them cut by triangles; result: {} with {}",
         plural(triangles, "triangle"),
         plural(vertices, "point"),
         built.tetrahedra,
@@ -181,7 +180,7 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), Error> {
     if let (Some(exported), Some(path)) = (exported, &args.export) {
         print(&format!("wrote {}: {exported} tetrahedra", path.display()))?;
     }
-    let peak = peak.map_or("not known here".to_owned(), memory::in_words);
+    let peak = peak.map_or("unknown on this system".to_owned(), memory::in_words);
     print(&format!(
         "wrote {}: {} in {}, peak memory {peak}",
         output.display(),
@@ -210,11 +209,13 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), Error> {
     }
     if Surfaces::new(&scene)?.view() != contents.surfaces {
         return refused(of_file(
-            "its triangles are not those of the scene; build it again".to_owned(),
+            "the triangles of the file differ from the triangles of the scene; build the file \
+             again"
+                .to_owned(),
         ));
     }
     if let Err(fault) = check(&contents) {
-        return refused(of_file(format!("{fault}; build it again")));
+        return refused(of_file(format!("{fault}; build the file again")));
     }
     let (cells, triangles) = (
         contents.cells.cell_count(),

@@ -1,7 +1,7 @@
-//! `sightline tetra --export`: cells as tetrahedra in VTK's XML format for unstructured grids.
+//! `sightline tetra --export`: writes cells as tetrahedra in VTK's XML format for unstructured grids.
 //!
-//! The arrays are in base64 behind their length in bytes as an u64, all little-endian ("VTK XML Formats",
-//! VTK's documentation).
+//! The arrays are in base64 after their length in bytes as a u64, all little-endian ("VTK XML Formats", VTK's
+//! documentation).
 
 use std::io::Write;
 
@@ -9,18 +9,18 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use sightline::Error;
 use sightline::output::Output;
-use sightline_tetra::divide::{Divided, divide};
+use sightline_tetra::division::{Divided, divide};
 use sightline_tetra::file::Contents;
 
-/// VTK's number of a triangle.
+/// The number of the cell type triangle in VTK.
 const TRIANGLE: u8 = 5;
-/// VTK's number of a tetrahedron.
+/// The number of the cell type tetrahedron in VTK.
 const TETRAHEDRON: u8 = 10;
 
-/// Writes the tetrahedra of all cells, and the triangles of the scene; returns how many tetrahedra there are.
+/// Writes the tetrahedra of all cells, and the triangles of the scene. Returns the number of tetrahedra.
 ///
 /// # Errors
-/// [`Error`], when the file cannot be written.
+/// [`Error`] if the file cannot be written.
 pub fn export(contents: &Contents<'_>, output: &Output) -> Result<u64, Error> {
     let divided = divide(contents);
     output.write(|out| {

@@ -1,11 +1,11 @@
-//! Exhausted memory, threads and descriptors: a command that runs out of them ends with exit code 1 and a
-//! sentence.
+//! Exhausted memory, threads and descriptors: a command that exhausts one of them ends with exit code 1 and
+//! an error message.
 //!
-//! Stable Rust ends a process whose allocation fails with `abort`, and panics where the system gives no
-//! further thread. The program's allocator remembers a failed allocation, so that the handler of SIGABRT can
-//! tell this end from others. Callers that handle a failed allocation themselves (`try_reserve`) continue.
-//! Panics and errors are recognised by the numbers that the standard library writes into their texts, because
-//! the crates below pass the errors of the system on as text.
+//! Stable Rust ends a process with `abort` if an allocation fails, and panics if the system provides no
+//! further thread. The program's allocator records a failed allocation, so that the handler of SIGABRT can
+//! distinguish this end from others. Callers that handle a failed allocation themselves (`try_reserve`)
+//! continue. Panics and errors are recognised by the error numbers that the standard library writes into
+//! their texts, because the crates below return system errors as text.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
@@ -13,18 +13,18 @@ use std::cell::Cell;
 use std::io::{Write as _, stderr};
 use std::panic::PanicHookInfo;
 
-/// The allocator of the program: the system's, which remembers on each thread that an allocation failed.
+/// The allocator of the program: the system's allocator, with a record of failed allocations per thread.
 #[derive(Debug)]
 pub struct Allocator;
 
 thread_local! {
-    /// True once an allocation of this thread has failed, or a panic for lack of memory has begun. Later
-    /// allocations do not reset it: between the failed one and `abort`, the standard library may print a
+    /// True after an allocation of this thread has failed, or a panic for lack of memory has begun. Later
+    /// allocations do not reset the flag: between the failure and `abort`, the standard library may print a
     /// backtrace, which allocates.
     static HAS_FAILED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Records a failed allocation.
+/// Records a failed allocation if `pointer` is null. Returns `pointer`.
 fn noted(pointer: *mut u8) -> *mut u8 {
     if pointer.is_null() {
         HAS_FAILED.set(true);
@@ -33,7 +33,7 @@ fn noted(pointer: *mut u8) -> *mut u8 {
 }
 
 #[allow(unsafe_code, reason = "an allocator is unsafe")]
-// SAFETY: all calls go to the system's allocator unchanged, and its pointers come back unchanged.
+// SAFETY: all calls are passed to the system's allocator unchanged, and its pointers are returned unchanged.
 unsafe impl GlobalAlloc for Allocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: as the caller promises.
@@ -56,15 +56,16 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// Ends the process with exit code 1 and a sentence where an allocation fails, and prints a sentence where
-/// the system gives no further thread. Call it before the first thread starts.
+/// Installs the handlers of exhausted resources. If an allocation fails, they end the process with exit code
+/// 1 and an error message. If the system provides no further thread, they print a message and, on Unix, end
+/// the process with exit code 1. Call this function before the first thread starts.
 pub fn watch() {
     #[cfg(unix)]
     abort::watch();
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic: &PanicHookInfo<'_>| {
         match Exhausted::in_panic(panic.payload()) {
-            // A progress bar may be locked by the code that panics. The write fails only when stderr is
+            // The panicking code may hold the lock of a progress bar. The write fails only if stderr is
             // closed.
             Some(what) => {
                 drop(writeln!(
@@ -73,11 +74,11 @@ pub fn watch() {
                     what.sentence(),
                     what.remedy()
                 ));
-                // Unwinding needs memory, too. Where it cannot begin, the panic ends in `abort`.
+                // Unwinding needs memory, too. If it cannot start, the panic ends in `abort`.
                 if what == Exhausted::Memory {
                     HAS_FAILED.set(true);
                 }
-                // Other threads may wait for ever for the thread that could not start.
+                // Other threads may wait forever for the thread that could not start.
                 #[cfg(unix)]
                 if what == Exhausted::Threads {
                     abort::end();
@@ -88,7 +89,7 @@ pub fn watch() {
     }));
 }
 
-/// A resource of the system of which a process has no more.
+/// An exhausted resource of the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exhausted {
     /// Memory.
@@ -100,9 +101,9 @@ pub enum Exhausted {
 }
 
 impl Exhausted {
-    /// Finds the resource that the text of an error names; `None` for other errors.
+    /// Returns the resource that the text of an error names, or `None` for other errors.
     pub fn in_error(text: &str) -> Option<Self> {
-        // The numbers of the system as errors display and debug them: EMFILE and ENFILE, ENOMEM, and EAGAIN
+        // These are the error numbers as errors display and debug them: EMFILE and ENFILE, ENOMEM, and EAGAIN
         // of Linux and macOS.
         let has = |numbers: &[u32]| {
             numbers.iter().any(|n| {
@@ -110,7 +111,7 @@ impl Exhausted {
             })
         };
         let is_thread = text.contains("thread") || text.contains("ThreadPool");
-        // The loader of libraries reports no numbers.
+        // The dynamic loader does not report error numbers.
         if has(&[24, 23]) || text.contains("Too many open files") {
             Some(Self::Files)
         } else if is_thread && has(&[11, 35, 12]) {
@@ -130,7 +131,7 @@ impl Exhausted {
         }
     }
 
-    /// Finds the resource that the payload of a panic names.
+    /// Returns the resource that the payload of a panic names.
     pub fn in_panic(payload: &(dyn Any + Send)) -> Option<Self> {
         let text = payload.downcast_ref::<String>().map(String::as_str);
         text.or_else(|| payload.downcast_ref::<&str>().copied())
@@ -145,7 +146,7 @@ impl Exhausted {
         }
     }
 
-    /// Returns the remedy.
+    /// Returns the second part of the error message: the remedy for the user.
     pub fn remedy(self) -> &'static str {
         match self {
             Self::Memory => {
@@ -161,7 +162,7 @@ impl Exhausted {
 
 #[cfg(unix)]
 mod abort {
-    //! The end of the process in a handler of SIGABRT, and where a thread cannot start.
+    //! The end of the process in a handler of SIGABRT, or if a thread cannot start.
 
     use crate::terminal::exhaustion::HAS_FAILED;
 
@@ -169,7 +170,7 @@ mod abort {
         b"error: the system has no memory left for this process; give it more memory \
         (ulimit -v), use fewer threads, or a smaller scene or result\n";
 
-    /// Writes the sentence and ends the process if an allocation of this thread has failed. Otherwise it
+    /// Writes the error message and ends the process if an allocation of this thread has failed. Otherwise
     /// returns, and `abort` ends the process.
     extern "C" fn on_abort(_: libc::c_int) {
         if !HAS_FAILED.get() {
@@ -181,7 +182,7 @@ mod abort {
         )]
         // SAFETY: the bytes outlive the call, and both functions may be called in a handler.
         unsafe {
-            // Fails only when stderr is closed; then the error cannot be shown either.
+            // The write fails only if stderr is closed, and then the error cannot be shown either.
             let _ = libc::write(
                 libc::STDERR_FILENO,
                 SENTENCE.as_ptr().cast(),
@@ -203,11 +204,11 @@ mod abort {
         }
     }
 
-    /// Installs the handler.
+    /// Installs the handler of SIGABRT.
     pub(super) fn watch() {
         let handler = on_abort as extern "C" fn(libc::c_int);
         #[allow(unsafe_code, reason = "a handler of signals is set by a function of C")]
-        // SAFETY: the handler only calls functions that are allowed in handlers, and reads a thread-local
+        // SAFETY: the handler calls only functions that are permitted in handlers. It reads a thread-local
         // variable that needs no initialisation.
         unsafe {
             libc::signal(libc::SIGABRT, handler as libc::sighandler_t);

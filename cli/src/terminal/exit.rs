@@ -1,4 +1,4 @@
-//! Exit codes of commands (the table of `docs/interfaces.md`).
+//! The exit codes of commands (the table of `docs/interfaces.md`).
 
 use std::process::ExitCode;
 
@@ -6,11 +6,11 @@ use sightline::{Error, ErrorKind};
 
 use crate::terminal::exhaustion::Exhausted;
 
-/// The exit code of a fault of the program or the machine.
+/// The exit code for a fault of the program or the machine.
 pub const INTERNAL: u8 = 1;
 
-/// Returns the exit code of an error. The coordinator of a bake is part of the process, so one that does not
-/// answer is a fault of the machine.
+/// Returns the exit code of an error. The coordinator of a bake is part of the process, so an error of that
+/// coordinator is a fault of the machine.
 pub fn exit_code(e: &Error, is_bake: bool) -> ExitCode {
     ExitCode::from(match e.kind() {
         ErrorKind::Internal => INTERNAL,
@@ -24,11 +24,12 @@ pub fn exit_code(e: &Error, is_bake: bool) -> ExitCode {
     })
 }
 
-/// Finds the resource of this process that was exhausted, which is not a fault of the command's input.
+/// Returns the resource of this process that was exhausted, if the error names one. Such an error is not a
+/// fault of the command's input.
 pub fn exhausted(e: &Error, is_bake: bool) -> Option<Exhausted> {
     let text = e.to_string();
     match e.kind() {
-        // A thread that cannot start, where the error reports nothing else.
+        // A thread cannot start, and the error reports no other cause.
         ErrorKind::Internal if text.starts_with("Resource temporarily unavailable") => {
             Some(Exhausted::Threads)
         }
@@ -41,7 +42,7 @@ pub fn exhausted(e: &Error, is_bake: bool) -> Option<Exhausted> {
     }
 }
 
-/// Ends a command that was interrupted without an error: its output is complete up to then.
+/// Treats the interruption of a command as success, because its output is complete up to then.
 pub fn unless_cancelled(done: Result<(), Error>) -> Result<(), Error> {
     match done {
         Err(e) if e.kind() == ErrorKind::Cancelled => Ok(()),

@@ -1,17 +1,17 @@
-//! Ctrl-C and SIGTERM.
+//! The handling of Ctrl-C and SIGTERM.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::terminal::stderr::say;
 
-/// True from the first signal on.
+/// True after the first signal.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// True if the second signal ends the process.
 static ENDS_AT_SECOND: AtomicBool = AtomicBool::new(false);
 
-/// Returns true if Ctrl-C or SIGTERM came since the first call of this function. Before that call, a signal
-/// ends the process in the ordinary way, because no work would react to it.
+/// Returns true if Ctrl-C or SIGTERM arrived since the first call of this function. Before that call, a
+/// signal ends the process in the ordinary way, because no handler is installed.
 pub fn is_interrupted() -> bool {
     static WATCH: OnceLock<bool> = OnceLock::new();
     WATCH.get_or_init(|| {
@@ -22,7 +22,7 @@ pub fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// Lets the second signal end the process, for a command that keeps no temporary file.
+/// Makes the second signal end the process, for a command without temporary files.
 pub fn end_at_second() {
     ENDS_AT_SECOND.store(true, Ordering::Relaxed);
 }
@@ -42,7 +42,7 @@ fn watch() {
         stop_signal().await;
         INTERRUPTED.store(true, Ordering::Relaxed);
         if ENDS_AT_SECOND.load(Ordering::Relaxed) {
-            say("interrupted: finishing the claims in progress; interrupt again to stop at once");
+            say("interrupted: finishing the claims in progress; press Ctrl-C again to stop immediately");
             stop_signal().await;
             std::process::exit(130);
         }
@@ -64,6 +64,6 @@ pub async fn stop_signal() {
             return;
         }
     }
-    // Ctrl-C can be caught even where SIGTERM cannot.
+    // Ctrl-C can be caught even on systems without SIGTERM.
     let _ = tokio::signal::ctrl_c().await;
 }

@@ -1,4 +1,4 @@
-//! Queries as JSON Lines from a file or from stdin.
+//! The reader of queries as JSON Lines from a file or from stdin.
 
 use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
@@ -6,26 +6,26 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 use sightline::Error;
 
-/// Most lines that are read together.
+/// Maximum number of lines in one batch.
 const AT_A_TIME: usize = 4096;
-/// Size of the read buffer in bytes.
+/// The size of the read buffer in bytes.
 const BUFFER: usize = 1 << 20;
-/// Lines of this many bytes or more are refused.
+/// The minimum length of a rejected line, in bytes, including the line end.
 const LONGEST_LINE: u64 = 1 << 20;
 
-/// How UTF-8 marks itself.
+/// The byte order mark of UTF-8.
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
-/// The lines of a file or of stdin.
+/// The reader of the lines of a file or of stdin.
 pub struct JsonLines {
-    /// What is read, for messages.
+    /// The name of the input, for messages.
     pub name: String,
     reader: BufReader<Box<dyn Read>>,
-    /// Lines read so far.
+    /// The number of lines read so far, including blank lines.
     pub lines: u64,
-    /// The numbers of the lines that the last queries are from; lines of spaces are left out.
+    /// The line numbers of the queries in the last batch, starting at 1. Blank lines contain no query.
     pub numbers: Vec<u64>,
-    /// What a line looks like, for messages.
+    /// An example of a line, for messages.
     example: &'static str,
 }
 
@@ -62,9 +62,9 @@ impl JsonLines {
         })
     }
 
-    /// The next queries, and the error of the line after them if it is bad. Reads at least one query, and
-    /// more only if they are buffered already, because a program may wait for each answer before it writes
-    /// the next query. At the end of the input there are no queries.
+    /// Returns the next batch of queries, and the error of the line after the batch if that line is invalid.
+    /// Reads at least one query. Reads further queries only if they are already buffered, because a program
+    /// may wait for each answer before it writes the next query. At the end of the input, returns no queries.
     pub fn read<L: DeserializeOwned, Q>(
         &mut self,
         check: impl Fn(L) -> Result<Q, String>,
@@ -104,10 +104,10 @@ impl JsonLines {
                 |why: String| Error::input(format!("{}, line {}: {why}", self.name, self.lines));
             if read as u64 == LONGEST_LINE {
                 return Err(bad(format!(
-                    "it is longer than {LONGEST_LINE} bytes; split the query"
+                    "the line has {LONGEST_LINE} bytes or more; split the query"
                 )));
             }
-            // Some editors begin a file with a mark of its encoding.
+            // Some editors start a file with a byte order mark.
             let text = text
                 .strip_prefix(BYTE_ORDER_MARK)
                 .filter(|_| self.lines == 1)
@@ -118,13 +118,13 @@ impl JsonLines {
             }
             let no_query = |why: String| {
                 bad(format!(
-                    "it is no query ({why}); give {} on one line",
+                    "the line is not a query ({why}); give {} on one line",
                     self.example
                 ))
             };
             if text[0] == b'[' {
-                // Fields in their order would be taken.
-                return Err(no_query("it is a list".to_owned()));
+                // Serde would accept the fields of a list by their order.
+                return Err(no_query("the line is a JSON list".to_owned()));
             }
             let line: L = serde_json::from_slice(text).map_err(|e| no_query(e.to_string()))?;
             return check(line).map(Some).map_err(bad);

@@ -1,4 +1,4 @@
-//! Input and output of commands: notes, progress, stdout, signals, and the end of the process.
+//! The input and output of commands: notes, progress, stdout, signals, and the end of the process.
 
 pub mod exhaustion;
 pub mod exit;

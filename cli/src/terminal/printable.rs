@@ -1,7 +1,7 @@
-//! Text that a terminal shows as it is: control characters of names, files and answers are escaped.
+//! Escapes for terminals: control characters of names, files and answers are escaped.
 //!
 //! A name with an escape sequence could move the cursor, rename the window or hide other output. The escapes
-//! are escapes of JSON, so that escaped JSON is still JSON.
+//! are escapes of JSON, so escaped JSON is still JSON.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -11,12 +11,12 @@ use serde::Serialize;
 use serde_json::Serializer;
 use serde_json::ser::Formatter;
 
-/// Returns a name with all control characters escaped, line ends too, as `\u001b`.
+/// Returns a name with all control characters escaped, including line ends, as `\u001b`.
 pub fn name(text: &str) -> Cow<'_, str> {
     escaped(text, |_| false)
 }
 
-/// Returns a text of several lines with its control characters escaped; line ends and tabs stay.
+/// Returns a text of several lines with its control characters escaped. Line ends and tabs stay.
 pub fn text(text: &str) -> Cow<'_, str> {
     escaped(text, |c| matches!(c, '\n' | '\t'))
 }
@@ -29,7 +29,7 @@ fn escaped(text: &str, stays: impl Fn(char) -> bool) -> Cow<'_, str> {
     let mut out = String::with_capacity(text.len() + 16);
     for c in text.chars() {
         if is_hidden(c) {
-            // All of them have four digits. Writing to a string does not fail.
+            // All these characters have four digits. Writing to a string does not fail.
             let _ = write!(out, "\\u{:04x}", u32::from(c));
         } else {
             out.push(c);
@@ -41,15 +41,15 @@ fn escaped(text: &str, stays: impl Fn(char) -> bool) -> Cow<'_, str> {
 /// Writes a value as JSON, with the control characters of its strings escaped.
 ///
 /// # Errors
-/// When the writer fails, or the value cannot be serialised.
+/// [`io::Error`] if the writer fails, or the value cannot be serialised.
 pub fn json(to: impl io::Write, value: &impl Serialize) -> io::Result<()> {
     value
         .serialize(&mut Serializer::with_formatter(to, Escaped))
         .map_err(io::Error::from)
 }
 
-/// The compact format of JSON with further escapes: serde_json leaves DEL and all higher characters as they
-/// are.
+/// The compact format of JSON with more escapes, because serde_json does not escape DEL and higher
+/// characters.
 struct Escaped;
 
 impl Formatter for Escaped {
@@ -62,7 +62,8 @@ impl Formatter for Escaped {
     }
 }
 
-/// Returns true for the characters that show later text in another order.
+/// Returns true for characters that change the writing direction (left to right, or right to left) of later
+/// text.
 fn turns_direction(c: char) -> bool {
     matches!(u32::from(c), 0x200e | 0x200f | 0x202a..=0x202e | 0x2066..=0x2069)
 }

@@ -1,4 +1,4 @@
-//! Notes and progress on stderr: a bar on a terminal, otherwise a line every few seconds.
+//! Notes and progress on stderr: a bar on a terminal, and otherwise a line every few seconds.
 
 use std::io::IsTerminal as _;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,22 +14,22 @@ use sightline_proto::v1;
 use crate::terminal::interrupt;
 use crate::terminal::stderr::{BARS, say};
 
-/// Time between two lines when stderr is not a terminal.
+/// The time between two lines if stderr is not a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
-/// Time between two lines for programs.
+/// The time between two JSON lines.
 const EVENT_EVERY: Duration = Duration::from_secs(1);
-/// Whether progress is told as JSON Lines.
+/// True if progress is printed as JSON Lines.
 static AS_JSON: AtomicBool = AtomicBool::new(false);
 
-/// From now on tells progress as JSON Lines, for programs.
+/// Prints progress as JSON Lines from now on, for programs.
 pub fn tell_as_json() {
     AS_JSON.store(true, Ordering::Relaxed);
 }
 
-/// The observer of a command: it prints notes and progress to stderr, and cancels at Ctrl-C and SIGTERM.
+/// The observer of a command. It prints notes and progress to stderr, and cancels at Ctrl-C and SIGTERM.
 pub struct Terminal {
-    /// The bar, from the first progress on; none where stderr is not a terminal.
+    /// The bar, from the first progress on. `None` if stderr is not a terminal.
     bar: OnceLock<Option<ProgressBar>>,
     last_line: Mutex<Option<Instant>>,
     /// The job's state when it was last shown.
@@ -61,12 +61,12 @@ impl Drop for Terminal {
     }
 }
 
-/// Creates an empty bar on a terminal.
+/// Creates an empty bar if stderr is a terminal and progress is not printed as JSON Lines.
 fn bar() -> Option<ProgressBar> {
     let for_people = !AS_JSON.load(Ordering::Relaxed);
     (for_people && std::io::stderr().is_terminal()).then(|| {
         let bar = BARS.add(ProgressBar::new(0));
-        // The template is a constant, checked by a test.
+        // The template is a constant that a test checks.
         if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
             bar.set_style(style.progress_chars("█▉▊▋▌▍▎▏ "));
         }
@@ -76,7 +76,7 @@ fn bar() -> Option<ProgressBar> {
 }
 
 impl Terminal {
-    /// Creates an observer that has shown nothing.
+    /// Creates an observer that has printed nothing.
     pub fn new() -> Self {
         Self {
             bar: OnceLock::new(),
@@ -86,11 +86,11 @@ impl Terminal {
         }
     }
 
-    /// Shows the progress of a job.
-    fn job(&self, progress: &JobProgress<'_>, of: &Progress<'_>) {
+    /// Shows the progress of a job: counts of tiles, cells and samples, and the remaining time.
+    fn job(&self, progress: &JobProgress<'_>, parts: &Progress<'_>) {
         let (job, rate) = (progress.job.message(), progress.samples_per_second);
         let ended = u64::from(job.tiles_done + job.tiles_set_aside);
-        // A change of state is shown at once, because the next message may come much later.
+        // A change of state is shown immediately, because the next message may arrive much later.
         let state = Some(job.state());
         if std::mem::replace(
             &mut *self
@@ -110,11 +110,11 @@ impl Terminal {
             0 => format!("{} {what}", job.cells_done),
             total => format!("{}/{total} {what}", job.cells_done),
         };
-        let seconds_left = match of.left {
+        let seconds_left = match parts.left {
             TimeLeft::Seconds(seconds) => Some(seconds),
             _ => None,
         };
-        let left = match of.left {
+        let left = match parts.left {
             TimeLeft::Paused => format!("PAUSED: `sightline resume {}` continues it", job.id),
             TimeLeft::NoWorkers => "NO WORKERS: start some with `sightline worker`".to_owned(),
             TimeLeft::Finishing => "finishing".to_owned(),
@@ -122,7 +122,7 @@ impl Terminal {
             TimeLeft::Unknown => "time left not known yet".to_owned(),
         };
         let samples = if job.spec.as_ref().is_some_and(is_decided) {
-            // Rays come first and queries later; one rate for both would mean nothing.
+            // Rays come first and queries later, so a common rate would have no meaning.
             format!("{} rays and queries", job.samples)
         } else {
             format!("{} samples ({rate:.0}/s)", job.samples)
@@ -140,7 +140,7 @@ impl Terminal {
         self.show([ended, u64::from(job.tiles_total)], "tiles", &text, more);
     }
 
-    /// Shows a count of things that take about the same time each, with the time left.
+    /// Shows a count of items that take about the same time each, with the remaining time.
     pub fn count(&self, done: u64, total: u64, what: &str) {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = total.saturating_sub(done) as f64;
@@ -162,12 +162,12 @@ impl Terminal {
         );
     }
 
-    /// Shows a count whose total still grows, without a time left.
+    /// Shows a count whose total still grows, without a remaining time.
     pub fn count_so_far(&self, done: u64, total: u64, what: &str) {
         self.show([done, total], what, "", json!({}));
     }
 
-    /// Shows text to people, or an event with more fields to programs.
+    /// Shows text to users, or an event with more fields to programs.
     fn show(&self, [done, total]: [u64; 2], what: &str, text: &str, more: Value) {
         if let Some(bar) = self.bar.get_or_init(bar) {
             bar.set_length(total);
@@ -209,7 +209,7 @@ impl Terminal {
     }
 }
 
-/// Returns true if exact queries or portals decide about triangles.
+/// Returns true if exact queries or portals decide the visibility of triangles.
 fn is_decided(spec: &v1::JobSpec) -> bool {
     use v1::visibility::Method;
     match &spec.task {
@@ -222,7 +222,7 @@ fn is_decided(spec: &v1::JobSpec) -> bool {
 
 const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";
 
-/// The time left, in words.
+/// Formats the remaining time, given in seconds.
 fn about(seconds: f64) -> String {
     format!(
         "about {} left",
@@ -235,7 +235,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_template_is_one() {
+    fn template_is_valid() {
         ProgressStyle::with_template(TEMPLATE).unwrap();
     }
 }

@@ -1,4 +1,4 @@
-//! Lines on stderr, which a progress bar shares.
+//! Lines on stderr, which share the terminal with a progress bar.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::LazyLock;
@@ -7,7 +7,8 @@ use indicatif::MultiProgress;
 
 use crate::terminal::printable;
 
-/// Bars and lines share stderr. Every line has to go through this, because it would break a bar otherwise.
+/// The progress bars on stderr. Every line has to be printed through this, because it would break a bar
+/// otherwise.
 pub static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Prints a line to stderr, with control characters escaped.
@@ -15,17 +16,17 @@ pub fn say(text: &str) {
     say_as_it_is(&printable::text(text));
 }
 
-/// Prints a line to stderr that may have the sequences of colours.
+/// Prints a line to stderr without escapes, so that it may contain colour sequences.
 fn say_as_it_is(text: &str) {
     if std::io::stderr().is_terminal() {
-        // Fails only when stderr is closed; then the error cannot be shown either.
+        // The print fails only if stderr is closed, and then the error cannot be shown either.
         let _ = BARS.println(text);
     } else {
         let _ = writeln!(std::io::stderr(), "{text}");
     }
 }
 
-/// Makes writers of log lines that do not break a bar.
+/// A factory of log writers that do not break a bar.
 pub struct LogWriter;
 
 impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
@@ -51,7 +52,7 @@ impl std::io::Write for LogLine {
 impl Drop for LogLine {
     fn drop(&mut self) {
         if !self.0.is_empty() {
-            // The log escapes the texts of other programs.
+            // The log has already escaped the texts of other programs.
             say_as_it_is(String::from_utf8_lossy(&self.0).trim_end());
         }
     }

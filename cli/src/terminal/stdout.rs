@@ -1,4 +1,4 @@
-//! Output of commands on stdout.
+//! The output of commands on stdout.
 
 use std::io::{BufWriter, Write as _};
 
@@ -12,7 +12,7 @@ pub fn print(text: &str) -> Result<(), Error> {
     print_with(|out| writeln!(out, "{text}"))
 }
 
-/// Prints a result to stdout as one line of JSON, which is never in memory as a whole.
+/// Prints a result to stdout as one line of JSON, without keeping the whole line in memory.
 pub fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
     print_with(|out| {
         printable::json(&mut *out, value)?;
@@ -20,7 +20,7 @@ pub fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
     })
 }
 
-/// Gives a function stdout to write to.
+/// Calls `write` with buffered stdout.
 pub fn print_with(
     write: impl FnOnce(&mut BufWriter<std::io::StdoutLock<'_>>) -> std::io::Result<()>,
 ) -> Result<(), Error> {
@@ -33,7 +33,7 @@ pub fn print_with(
     }
 }
 
-/// Returns the error of a stdout that cannot be written.
+/// Returns the error for a stdout that cannot be written.
 pub fn unwritable(e: &std::io::Error) -> Error {
     Error::internal(format!(
         "stdout cannot be written: {e}; check the space left where it is redirected to"

@@ -1,81 +1,70 @@
 //! Types of the numbers and digests that identify jobs, tiles, workers and leases.
 //!
-//! Each serialises as its bare number, so records and the journal do not depend on these types.
+//! A [`JobId`] serialises as its bare number, so the format of records and of the journal does not depend on
+//! the type. The other types are not serialised.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A BLAKE3 digest (32 bytes): the name of a blob, a scene or a job's key.
+pub use sightline_numbers::ids::TileIndex;
+
+/// A BLAKE3 digest (32 bytes): the name of a blob or a scene, or the key of a job.
 pub type Digest = [u8; 32];
 
-/// The digest as 64 hexadecimal digits.
+/// Returns the digest as 64 hexadecimal digits.
 pub fn hex(digest: &Digest) -> String {
     blake3::Hash::from_bytes(*digest).to_hex().to_string()
 }
 
-/// A job, counted from 1 in the order of submission and never reused.
+/// The number of a job, counted from 1 in the order of submission and never reused.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 #[serde(transparent)]
 pub struct JobId(pub u64);
 
-/// A tile of a job: its index in the job's plan, from 0.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
-)]
-#[serde(transparent)]
-pub struct TileIndex(pub u32);
-
-impl TileIndex {
-    /// The index into a plan's or a job's list of tiles.
-    pub fn at(self) -> usize {
-        self.0 as usize
-    }
-}
-
-/// A worker's connection. A worker that reconnects gets another number.
+/// The number of a worker's connection. A worker that reconnects gets another number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct WorkerId(pub u64);
 
-/// A start of the coordinator on its store, counted from 1.
+/// The number of a coordinator's start on its store, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Epoch(pub u64);
 
-/// A grant of a tile. No two grants of one store have the same identity.
+/// The identity of a grant of a tile. No two grants of one store have the same identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LeaseId {
     /// The epoch in which the tile was granted.
     pub epoch: Epoch,
-    /// The number of the grant within the epoch, from 1.
+    /// The number of the grant, counted from 1 in each epoch.
     pub number: u64,
 }
 
-/// A lease and the tile it is for.
+/// A lease of a tile: the job, the tile and the identity of the grant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Lease {
-    /// The job.
+    /// The job of the tile.
     pub job: JobId,
-    /// The tile of the job.
+    /// The index of the tile in the job.
     pub tile: TileIndex,
-    /// The grant.
+    /// The identity of the grant.
     pub id: LeaseId,
 }
 
-/// A worker's identity, in addition to its name.
+/// A worker's 64-bit identity, which distinguishes workers of the same name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkerIdentity(pub u64);
 
-/// The separator between the name and the identity of a worker.
+/// The separator between the name and the identity in a worker's signature.
 const SEPARATOR: char = '#';
 
-/// Returns the signature of a worker, its name with its identity: `NAME#0123456789abcdef`.
+/// Returns the signature of a worker: its name and its identity, as `NAME#0123456789abcdef`.
 pub fn signature(name: &str, WorkerIdentity(number): WorkerIdentity) -> String {
     format!("{name}{SEPARATOR}{number:016x}")
 }
 
-/// Returns the name within a signature. A text without an identity is a name.
+/// Returns the worker's name from a signature. A text without an identity is returned unchanged.
 pub fn worker_name(signature: &str) -> &str {
     match signature.rsplit_once(SEPARATOR) {
         Some((name, id)) if id.len() == 16 && id.bytes().all(|b| b.is_ascii_hexdigit()) => name,
@@ -84,12 +73,6 @@ pub fn worker_name(signature: &str) -> &str {
 }
 
 impl fmt::Display for JobId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl fmt::Display for TileIndex {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
     }

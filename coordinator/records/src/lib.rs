@@ -1,5 +1,20 @@
-//! The records of a coordinator: jobs, tiles, scenes and the trust in workers, with the numbers that identify
-//! them. The store keeps records, the scheduler and the services of the coordinator use them.
+//! The records of a coordinator: jobs, tiles, scenes, quarantined workers, and the clocks of retention.
+//!
+//! The store (`coordinator/store`) stores records; the scheduler and the services of the coordinator use
+//! them. This crate depends on no other crate of the project.
+//!
+//! # Modules
+//!
+//! - `records`: [`JobRecord`], [`TileRecord`], [`SceneRecord`], [`QuarantineRecord`], [`RetentionStamp`], and
+//!   the states of jobs and tiles.
+//! - [`ids`]: the numbers and digests that identify jobs, tiles, workers and leases.
+//! - `limits`: maximum lengths of texts and lists in records.
+//!
+//! # Invariants
+//!
+//! - A record is small: scenes, packs, outputs and results are blobs, which records name by digests.
+//! - The texts and lists of a record have maximum lengths.
+//! - Specifications of jobs are opaque bytes here.
 
 pub mod ids;
 mod limits;

@@ -1,26 +1,26 @@
-//! Maximum lengths and numbers in records.
+//! Maximum lengths of texts and lists in records.
 //!
-//! The limits keep every stored value below 4 KiB; the store checks the encoded value again.
+//! The limits keep every stored value below 4 KiB. The store also checks the length of the encoded value.
 
-/// Longest request id or numerics profile, in bytes.
+/// Maximum length of a request id or a numerics profile, in bytes.
 pub const MAX_IDENTIFIER_BYTES: usize = 128;
-/// Longest job name, in bytes.
+/// Maximum length of a job name, in bytes.
 pub const MAX_NAME_BYTES: usize = 128;
-/// Longest worker name, in bytes.
+/// Maximum length of a worker name, in bytes.
 pub const MAX_WORKER_BYTES: usize = 64;
-/// Longest worker name with the worker's identity, in bytes.
+/// Maximum length of a worker's signature (name, separator and identity), in bytes.
 pub const MAX_SIGNATURE_BYTES: usize = MAX_WORKER_BYTES + 17;
-/// Reasons are cut to this many bytes.
+/// Maximum length of a stored reason, in bytes. Longer reasons are cut.
 pub const MAX_REASON_BYTES: usize = 200;
-/// Longest opaque job specification, in bytes.
+/// Maximum length of an opaque job specification, in bytes.
 pub const MAX_SPEC_BYTES: usize = 2048;
-/// Helpers that are named in a tile's record; the others are counted.
+/// Maximum number of helpers named in a tile's record. Further helpers are only counted.
 pub const MAX_HELPERS: usize = 12;
-/// Different workers' failures remembered of one tile.
+/// Maximum number of workers whose failures a tile's record contains.
 pub const MAX_FAILURES: usize = 8;
-/// Reasons remembered of a tile set aside.
+/// Maximum number of reasons in the record of a tile that was set aside.
 pub const MAX_REASONS: usize = 4;
-/// Longest name of an owner, in bytes, and of the user of a job that has an owner.
+/// Maximum length of an owner's name, and of the user's name in a job that has an owner, in bytes.
 pub const MAX_OWNER_BYTES: usize = 32;
 /// Maximum number of users who own one scene.
 pub const MAX_OWNERS: usize = 24;

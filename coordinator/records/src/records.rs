@@ -1,4 +1,4 @@
-//! The records of scenes, jobs and tiles. `limits.rs` has the limits of their texts.
+//! The records of scenes, jobs and tiles. `limits.rs` defines the maximum lengths of their texts.
 
 use std::collections::BTreeSet;
 
@@ -6,59 +6,65 @@ use serde::{Deserialize, Serialize};
 
 use crate::ids::{Digest, JobId, TileIndex, worker_name};
 
-/// A scene the coordinator holds.
+/// The record of a scene whose blob the coordinator stores.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneRecord {
-    /// Digest of the scene, the name of its blob.
+    /// The digest of the scene, which is also the name of its blob.
     #[serde(with = "hex_digest")]
     pub digest: Digest,
-    /// Size of the blob.
+    /// The size of the blob, in bytes.
     pub bytes: u64,
-    /// Triangles in it.
+    /// The number of triangles in the scene.
     pub triangles: u32,
-    /// Objects in it.
+    /// The number of objects in the scene.
     pub objects: u32,
-    /// The users who have sent it; without any it belongs to nobody.
+    /// The users who uploaded the scene. A scene with an empty set has no owner.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub owners: BTreeSet<String>,
 }
 
-/// A job as it is submitted.
+/// A job as a client submits it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
-    /// Digest of scene and parameters: jobs of one key have one result.
+    /// The digest of the scene, the parameters and, if the job has an owner, the owner ([`owned_key`]). Jobs
+    /// with the same key have the same result.
     pub key: Digest,
-    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES), no control characters,
-    /// quotes or backslashes; empty: the submission cannot be recognised when repeated.
+    /// The request id that the client chose, of at most [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES)
+    /// bytes, without control characters, quotes and backslashes. With an empty id, the store cannot
+    /// recognise a repeated submission.
     pub request_id: String,
-    /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
+    /// The display name, of at most [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES) bytes, without control
+    /// characters.
     pub name: String,
-    /// Whose it is, ≤ [`MAX_OWNER_BYTES`](super::MAX_OWNER_BYTES); empty where nobody is asked. Jobs of
-    /// different owners are never one job.
+    /// The owner, of at most [`MAX_OWNER_BYTES`](super::MAX_OWNER_BYTES) bytes. Empty if the coordinator does
+    /// not authenticate clients. Jobs of different owners are never merged into one job.
     pub owner: String,
-    /// Who submits it; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters. Users share the
-    /// workers evenly.
+    /// The user who submits the job, of at most [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES) bytes, without
+    /// control characters. The scheduler shares the workers evenly among users.
     pub user: String,
-    /// Jobs of higher priority come first.
+    /// The priority. The scheduler prefers jobs with a higher priority.
     pub priority: i32,
-    /// Digest of a recorded scene.
+    /// The digest of the scene. The store must contain the scene's record.
     pub scene: Digest,
-    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`](super::MAX_SPEC_BYTES).
+    /// The opaque parameters, of at most [`MAX_SPEC_BYTES`](super::MAX_SPEC_BYTES) bytes.
     pub spec: Vec<u8>,
-    /// Tiles of the plan, ≤ [`MAX_TILES`](super::MAX_TILES); 0 if it is set later by `plan_job`.
+    /// The number of tiles of the plan, at most [`MAX_TILES`](super::MAX_TILES); 0 if `plan_job` sets it
+    /// later.
     pub tiles: u32,
-    /// Milliseconds since 1970.
+    /// The submission time, in milliseconds since 1970.
     pub submitted_at_ms: u64,
 }
 
-/// The key of a job of an owner, from the digest of scene and parameters: users do not share jobs, so that
-/// nobody learns what others have submitted.
+/// Returns the key of an owner's job, computed from the job's digest and the owner's name. The digest covers
+/// scene and parameters.
+///
+/// Owners do not share jobs, so that no user learns which jobs other users have submitted.
 pub fn owned_key(digest: Digest, owner: &str) -> Digest {
     owned("sightline 2026-11 key of an owned job", &digest, owner)
         .map_or(digest, |hash| *hash.as_bytes())
 }
 
-/// The request id of an owner's submission: ids of different users are never the same.
+/// Returns the stored request id of an owner's submission. Request ids of different owners always differ.
 pub fn owned_request(id: &str, owner: &str) -> String {
     let hash = owned(
         "sightline 2026-11 request of an owner",
@@ -83,51 +89,53 @@ fn owned(context: &str, what: &[u8], owner: &str) -> Option<blake3::Hash> {
 /// The answer to a submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Submitted {
-    /// The job that answers it.
+    /// The new job, or the existing job with the same key or the same request id.
     pub id: JobId,
-    /// Whether that job existed before.
+    /// True if the job existed before the submission.
     pub existing: bool,
 }
 
-/// A job.
+/// The record of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobRecord {
-    /// Counted from 1, never given out twice.
+    /// The number of the job, counted from 1 and never reused.
     pub id: JobId,
-    /// Digest of scene and parameters.
+    /// The digest of the scene, the parameters and, if the job has an owner, the owner ([`owned_key`]).
     #[serde(with = "hex_digest")]
     pub key: Digest,
-    /// The request id it was submitted with.
+    /// The request id of the submission.
     pub request_id: String,
-    /// For people.
+    /// The display name.
     pub name: String,
-    /// Whose it is.
+    /// The owner, or an empty text if the job has none.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub owner: String,
-    /// Who submitted it.
+    /// The user who submitted the job.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub user: String,
-    /// Jobs of higher priority come first.
+    /// The priority. The scheduler prefers jobs with a higher priority.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub priority: i32,
-    /// Digest of its scene.
+    /// The digest of the scene.
     #[serde(with = "hex_digest")]
     pub scene: Digest,
-    /// The parameters, opaque here.
+    /// The opaque parameters.
     #[serde(with = "base64_bytes")]
     pub spec: Vec<u8>,
-    /// Number of tiles; 0 until its plan is known.
+    /// The number of tiles; 0 while the plan is unknown.
     pub tiles: u32,
-    /// Its state.
+    /// The state of the job.
     pub state: JobState,
-    /// The numerics profile it is bound to, once it is.
+    /// The numerics profile that the job is bound to, or `None` before the binding.
     pub profile: Option<String>,
-    /// Milliseconds since 1970.
+    /// The submission time, in milliseconds since 1970.
     pub submitted_at_ms: u64,
-    /// Milliseconds since 1970, once it has ended.
+    /// The time at which the job ended, in milliseconds since 1970; `None` while the job has not ended.
     pub finished_at_ms: Option<u64>,
-    /// The epoch in which tiles of it were opened again last, if some were. What is computed under leases of
-    /// this epoch and of earlier ones may come from what is not believed any more.
+    /// The epoch in which tiles of the job were last reopened because they were no longer trusted.
+    ///
+    /// Results that workers computed under leases of this epoch or of earlier epochs may depend on results
+    /// that are no longer trusted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reopened_epoch: Option<u64>,
 }
@@ -135,30 +143,30 @@ pub struct JobRecord {
 /// The state of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JobState {
-    /// Waiting for its first lease.
+    /// The job waits for its first lease.
     Queued,
-    /// Tiles were leased.
+    /// At least one tile was leased.
     Running,
-    /// No tiles are leased until it is resumed.
+    /// The scheduler leases no tiles until a client resumes the job.
     Paused,
-    /// Ended by a client.
+    /// A client cancelled the job.
     Cancelled,
-    /// Ended by a fault.
+    /// A fault ended the job.
     Failed {
         /// The reason, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
         reason: String,
     },
-    /// Ended with a result.
+    /// The job ended with a result.
     Done {
-        /// Digest of the result's blob.
+        /// The digest of the result's blob.
         #[serde(with = "hex_digest")]
         result: Digest,
-        /// Size of that blob.
+        /// The size of the result's blob, in bytes.
         bytes: u64,
     },
 }
 
-/// [`JobState`] without its data.
+/// The state of a job without the data of [`JobState`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum JobPhase {
     /// See [`JobState::Queued`].
@@ -176,7 +184,7 @@ pub enum JobPhase {
 }
 
 impl JobState {
-    /// The state without its data.
+    /// Returns the state without its data.
     pub fn phase(&self) -> JobPhase {
         match self {
             Self::Queued => JobPhase::Queued,
@@ -203,87 +211,88 @@ impl std::fmt::Display for JobPhase {
 }
 
 impl JobPhase {
-    /// Whether the job has ended (cancelled, failed or done).
+    /// Returns true if the job has ended (cancelled, failed or done).
     pub fn ended(self) -> bool {
         matches!(self, Self::Cancelled | Self::Failed | Self::Done)
     }
 }
 
-/// A tile of a job.
+/// The record of a tile of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileRecord {
-    /// Its number in the plan.
+    /// The index of the tile in the plan.
     pub tile: TileIndex,
-    /// Its state.
+    /// The state of the tile.
     pub state: TileState,
-    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES)
-    /// workers.
+    /// The workers on which the tile failed, with the last reason of each; at most
+    /// [`MAX_FAILURES`](super::MAX_FAILURES) workers.
     pub failures: Vec<TileFailure>,
-    /// How many differing results were kept out after it was done. Any number but 0 is a fault to
-    /// investigate.
+    /// The number of differing results that the store rejected after the tile was done. Any number except 0
+    /// indicates a fault to investigate.
     pub conflicts: u32,
-    /// Who has computed the same again, once somebody has.
+    /// The confirmation by another worker that computed the same result; `None` without a confirmation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub check: Option<TileCheck>,
 }
 
-/// Another worker has computed the same bytes for a done tile.
+/// A confirmation of a done tile: another worker computed the same bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileCheck {
-    /// The worker.
+    /// The signature of the confirming worker.
     pub worker: String,
-    /// Milliseconds since 1970.
+    /// The time of the confirmation, in milliseconds since 1970.
     pub at_ms: u64,
 }
 
-/// A worker that gets no tiles because its bytes were not those of others.
+/// The record of a quarantined worker, which gets no tiles because its results differed from other workers'.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QuarantineRecord {
-    /// Its name.
+    /// The name of the worker.
     pub worker: String,
-    /// Since when, in milliseconds since 1970.
+    /// The start of the quarantine, in milliseconds since 1970.
     pub at_ms: u64,
-    /// Why, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
+    /// The reason, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES) bytes.
     pub reason: String,
 }
 
-/// The state of the clocks by which retention measures ages, as the coordinator records it now and then.
+/// The clocks by which retention measures ages. The coordinator records them from time to time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RetentionStamp {
     /// The wall clock, in milliseconds since 1970.
     pub wall_ms: u64,
-    /// The time that coordinators have run on this store, in milliseconds of their monotonic clocks.
+    /// The total time that coordinators have run on this store, in milliseconds of their monotonic clocks.
     pub ran_ms: u64,
-    /// The trusted span for the age of ended jobs and of scenes.
+    /// The trusted span for the ages of ended jobs and of scenes.
     pub jobs: TrustedSpan,
-    /// The trusted span for the age of blobs.
+    /// The trusted span for the ages of blobs.
     pub blobs: TrustedSpan,
 }
 
-/// A span of run time up to now in which the wall clock and the monotonic clock agree.
+/// A span of run time, up to the present, in which the wall clock and the monotonic clock agree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrustedSpan {
-    /// The start of the span, as run time in milliseconds.
+    /// The start of the span, on the scale of [`RetentionStamp::ran_ms`], in milliseconds.
     pub begun_ms: u64,
-    /// The sum of the disagreements in the span, in milliseconds: downtimes, whose length only the wall clock
-    /// shows, and small steps.
+    /// The sum of the clocks' disagreements in the span, in milliseconds. Disagreements are downtimes, whose
+    /// length only the wall clock shows, and small clock steps.
     pub doubt_ms: u64,
-    /// The span that replaces this one when it is as long as the age; begun when the doubt was too large.
+    /// The next span, which starts when this span's doubt is too large. The next span replaces this span once
+    /// the next span is as long as the age at which retention deletes data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next: Option<NextSpan>,
 }
 
-/// A trusted span that is not as long as the age yet.
+/// A trusted span that is still shorter than the age at which retention deletes data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NextSpan {
-    /// The start of the span, as run time in milliseconds.
+    /// The start of the span, on the scale of [`RetentionStamp::ran_ms`], in milliseconds.
     pub begun_ms: u64,
-    /// The doubt since then; see [`TrustedSpan::doubt_ms`].
+    /// The sum of the disagreements since the start of the span; see [`TrustedSpan::doubt_ms`].
     pub doubt_ms: u64,
 }
 
 impl TileRecord {
-    /// A tile without a record.
+    /// Creates the record of an open tile without failures.
     pub fn open(tile: TileIndex) -> Self {
         Self {
             tile,
@@ -298,55 +307,56 @@ impl TileRecord {
 /// The state of a tile.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TileState {
-    /// Without a result.
+    /// The tile has no result.
     Open,
-    /// Its result is committed.
+    /// The tile's result is committed.
     Done {
-        /// Digest of the result's blob.
+        /// The digest of the result's blob.
         #[serde(with = "hex_digest")]
         digest: Digest,
-        /// Size of that blob.
+        /// The size of the result's blob, in bytes.
         bytes: u64,
-        /// The cost of computing it.
+        /// The cost of computing the result.
         stats: TileStats,
     },
-    /// Given up: its cells are shipped as "all visible" and marked.
+    /// The tile failed too often. The job's result marks the tile's cells as set aside, and their sets
+    /// contain all triangles, as undecided.
     SetAside {
-        /// Digest of the stand-in's blob.
+        /// The digest of the placeholder's blob.
         #[serde(with = "hex_digest")]
         digest: Digest,
-        /// Size of that blob.
+        /// The size of the placeholder's blob, in bytes.
         bytes: u64,
-        /// Why, at most [`MAX_REASONS`](super::MAX_REASONS).
+        /// The reasons of the failures, at most [`MAX_REASONS`](super::MAX_REASONS).
         reasons: Vec<String>,
     },
 }
 
-/// The cost of a tile's result.
+/// The cost of computing a tile's result.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileStats {
-    /// Samples rendered.
+    /// The number of rendered samples.
     pub samples: u64,
-    /// View cells in it.
+    /// The number of view cells in the tile.
     pub cells: u64,
-    /// Time the worker spent, in milliseconds.
+    /// The computing time of the worker, in milliseconds.
     pub millis: u64,
-    /// The signature of the worker; at most [`MAX_SIGNATURE_BYTES`](super::MAX_SIGNATURE_BYTES) long.
+    /// The signature of the worker, of at most [`MAX_SIGNATURE_BYTES`](super::MAX_SIGNATURE_BYTES) bytes.
     pub worker: String,
-    /// Others who had a hand in it: helpers, and those whose outcomes it went on from; at most
-    /// [`MAX_HELPERS`](super::MAX_HELPERS).
+    /// The other workers that contributed: helpers, and workers whose outcomes the tile was continued from;
+    /// at most [`MAX_HELPERS`](super::MAX_HELPERS).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub helpers: Vec<String>,
-    /// Helpers that are not named.
-    #[serde(default, skip_serializing_if = "is_none")]
+    /// The number of further helpers, which `helpers` does not name.
+    #[serde(default, skip_serializing_if = "is_zero_count")]
     pub unnamed: u32,
-    /// When it was committed, in milliseconds since 1970; 0 in records of earlier versions.
-    #[serde(default, skip_serializing_if = "is_never")]
+    /// The commit time, in milliseconds since 1970; 0 in records of earlier versions.
+    #[serde(default, skip_serializing_if = "is_zero_time")]
     pub at_ms: u64,
 }
 
 impl TileStats {
-    /// Returns true if a worker with this name or signature may have contributed.
+    /// Returns true if a worker with this name or signature may have contributed to the result.
     pub fn may_be_of(&self, name: &str) -> bool {
         let is_meant = |signature: &str| signature == name || worker_name(signature) == name;
         is_meant(&self.worker)
@@ -355,43 +365,43 @@ impl TileStats {
     }
 }
 
-/// A tile's failure on one worker.
+/// The failure of a tile on one worker.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileFailure {
-    /// The worker.
+    /// The name of the worker.
     pub worker: String,
-    /// Its description, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
+    /// The description of the failure, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES) bytes.
     pub reason: String,
 }
 
-/// A tile's result as it is committed.
+/// A tile's result as the coordinator commits it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TileResult {
-    /// Digest of the result's blob, which must be in place.
+    /// The digest of the result's blob, which must already be stored.
     pub digest: Digest,
-    /// Size of that blob.
+    /// The size of the result's blob, in bytes.
     pub bytes: u64,
-    /// The cost of computing it.
+    /// The cost of computing the result.
     pub stats: TileStats,
 }
 
 /// The outcome of committing a tile's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitOutcome {
-    /// The tile is done now.
+    /// The tile is now done.
     Committed,
-    /// It was done already, with this digest.
+    /// The tile was already done with the same digest.
     AlreadySame,
-    /// It was done already, with another digest. The offered one is kept out.
+    /// The tile was already done with another digest. The store rejects the offered result.
     Conflict {
-        /// The digest that stays.
+        /// The digest that the tile keeps.
         kept: Digest,
-        /// The digest kept out.
+        /// The rejected digest.
         offered: Digest,
     },
 }
 
-/// Records of jobs without a priority stay as they were before there were priorities.
+/// Returns true if a priority is 0, so that jobs without a priority keep their earlier record format.
 #[expect(
     clippy::trivially_copy_pass_by_ref,
     reason = "serde calls it with a reference"
@@ -404,7 +414,7 @@ fn is_zero(n: &i32) -> bool {
     clippy::trivially_copy_pass_by_ref,
     reason = "serde calls it with a reference"
 )]
-fn is_none(n: &u32) -> bool {
+fn is_zero_count(n: &u32) -> bool {
     *n == 0
 }
 
@@ -412,18 +422,19 @@ fn is_none(n: &u32) -> bool {
     clippy::trivially_copy_pass_by_ref,
     reason = "serde calls it with a reference"
 )]
-fn is_never(at: &u64) -> bool {
+fn is_zero_time(at: &u64) -> bool {
     *at == 0
 }
 
-/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and the form in logs and file
-/// names.
+/// Serialization of digests as 64 hexadecimal digits.
+///
+/// The text has half the size of JSON's list of numbers, and is also the form in logs and file names.
 pub mod hex_digest {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
     use crate::ids::Digest;
 
-    /// Writes a digest.
+    /// Serializes a digest.
     ///
     /// # Errors
     /// The error of the serializer.
@@ -431,10 +442,10 @@ pub mod hex_digest {
         to.serialize_str(blake3::Hash::from_bytes(*digest).to_hex().as_str())
     }
 
-    /// Reads a digest.
+    /// Deserializes a digest.
     ///
     /// # Errors
-    /// Text that is not 64 hexadecimal digits.
+    /// An error if the text does not consist of 64 hexadecimal digits.
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Digest, D::Error> {
         let text = String::deserialize(from)?;
         blake3::Hash::from_hex(&text)
@@ -443,8 +454,9 @@ pub mod hex_digest {
     }
 }
 
-/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under
-/// 4 KiB.
+/// Serialization of opaque bytes as base64, which has 4/3 of their size.
+///
+/// With base64, a job with a specification of the maximum size stays below 4 KiB.
 mod base64_bytes {
     use base64::{Engine, engine::general_purpose::STANDARD_NO_PAD};
     use serde::{Deserialize, Deserializer, Serializer, de::Error};

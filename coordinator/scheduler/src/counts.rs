@@ -1,26 +1,27 @@
-//! How many tiles of each job are where: for the metrics.
+//! The numbers of tiles of each job by state, for the metrics.
 
 use sightline_records::JobPhase;
 
 use super::state::Scheduler;
 
-/// A job that has not ended.
+/// The tile counts of a job that has not ended.
 #[derive(Clone, Debug)]
 pub struct Counts {
-    /// `queued`, `running` or `paused`.
+    /// The state of the job: `queued`, `running` or `paused`.
     pub state: &'static str,
     /// The numerics profile, or `unbound`.
     pub profile: String,
-    /// Tiles that could be leased.
+    /// The number of tiles that could be leased now.
     pub ready: u32,
-    /// Leases.
+    /// The number of leases on tiles of the job, including checks.
     pub leased: u32,
-    /// Open tiles that are neither.
+    /// The number of open tiles that are neither ready nor leased.
     pub waiting: u32,
 }
 
 impl Scheduler {
-    /// The jobs that have not ended. Costs the same for each job, however many tiles it has.
+    /// Returns the counts of the jobs that have not ended. The cost per job does not depend on its number of
+    /// tiles.
     pub fn counts(&self) -> Vec<Counts> {
         let counts = self.jobs.values().map(|job| {
             let able = self.allowed(job) && !job.grace;
@@ -44,8 +45,8 @@ impl Scheduler {
         counts.collect()
     }
 
-    /// Whether no tiles are granted for a while.
+    /// Returns true if the scheduler temporarily grants no tiles.
     pub fn is_paused(&self) -> bool {
-        self.paused_until.is_some()
+        self.time.paused_until.is_some()
     }
 }

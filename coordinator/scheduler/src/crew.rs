@@ -1,4 +1,4 @@
-//! A crew as the scheduler sees it.
+//! The scheduler's data about a crew.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,9 @@ use super::queue::QueueKey;
 pub(super) struct Crew {
     pub(super) lease: Lease,
     pub(super) profile: Profile,
-    /// The user and priority of its job.
-    pub(super) whom: QueueKey,
-    /// Workers that were sent and have not come back, and when they were sent.
+    /// The user and the priority of the crew's job.
+    pub(super) key: QueueKey,
+    /// The workers that were sent to help and have not returned, with the time at which they were sent, in
+    /// milliseconds.
     pub(super) helpers: BTreeMap<WorkerId, u64>,
 }

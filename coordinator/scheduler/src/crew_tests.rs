@@ -1,4 +1,4 @@
-//! Who helps whom: two tiles, more workers.
+//! Tests of the assignment of helpers to crews, with two tiles and more workers.
 
 use sightline_records::ids::{Lease, WorkerId};
 
@@ -6,7 +6,7 @@ use super::event::Event;
 use super::messages::WorkerCommand;
 use super::tests::{Bench, two_tiles};
 
-/// The leaders whom a worker was told to help, in their order.
+/// Returns the leases that a worker was sent to help, in the order of the commands.
 fn helps(b: &Bench, worker: WorkerId) -> Vec<Lease> {
     let told = b.told.get(&worker).into_iter().flatten();
     told.filter_map(|o| {
@@ -19,7 +19,7 @@ fn helps(b: &Bench, worker: WorkerId) -> Vec<Lease> {
     .collect()
 }
 
-/// Two leaders with a tile each, and their leases.
+/// Creates two leaders with one tile each. Returns their leases, too.
 fn two_leaders() -> (Bench, [WorkerId; 2], [Lease; 2]) {
     let mut b = two_tiles();
     let leaders = ["a", "b"].map(|name| b.join(name));
@@ -29,7 +29,7 @@ fn two_leaders() -> (Bench, [WorkerId; 2], [Lease; 2]) {
 }
 
 #[test]
-fn idle_workers_are_spread_over_the_crews() {
+fn idle_workers_are_spread_over_crews() {
     let (mut b, _, [one, two]) = two_leaders();
     let early = b.join("early");
     b.want(early, 2);
@@ -41,7 +41,7 @@ fn idle_workers_are_spread_over_the_crews() {
     assert_eq!(helps(&b, late), [], "it wants nothing yet");
     b.want(late, 2);
     assert_eq!(helps(&b, late), [two]);
-    // A helper that comes back is sent on.
+    // A returning helper is sent to the next crew.
     b.step(Event::CrewClosed(one));
     b.step(Event::Helped(early, one));
     assert_eq!(helps(&b, early), [one, two]);
@@ -49,12 +49,12 @@ fn idle_workers_are_spread_over_the_crews() {
     assert_eq!(
         helps(&b, early).len(),
         2,
-        "an answer to an earlier order changes nothing"
+        "an answer to an earlier command has no effect"
     );
 }
 
 #[test]
-fn a_crew_has_at_most_31_helpers() {
+fn crew_has_at_most_31_helpers() {
     let (mut b, _, [one, two]) = two_leaders();
     b.step(Event::CrewOpened(one));
     let helpers: Vec<WorkerId> = (0..32).map(|i| b.join(&format!("helper {i}"))).collect();
@@ -66,19 +66,19 @@ fn a_crew_has_at_most_31_helpers() {
             .count()
     };
     assert_eq!((with(&b, one), with(&b, two)), (31, 0));
-    // The one that was left helps, and others move until both crews have as many.
+    // The remaining worker helps, and others move until both crews have the same number of helpers.
     b.step(Event::CrewOpened(two));
     assert_eq!((with(&b, one), with(&b, two)), (16, 16));
 }
 
 #[test]
-fn a_helper_that_gets_a_tile_is_called_back_first() {
+fn helper_is_called_back_before_it_gets_tile() {
     let (mut b, [leader, other], [one, two]) = two_leaders();
     b.step(Event::CrewOpened(one));
     let helper = b.join("helper");
     b.want(helper, 2);
     assert_eq!(helps(&b, helper), [one]);
-    // A tile is free again.
+    // Another worker gives a tile back.
     b.step(Event::Drains(other));
     b.fail(other, two, true);
     b.wait(3);
@@ -94,7 +94,7 @@ fn a_helper_that_gets_a_tile_is_called_back_first() {
 }
 
 #[test]
-fn helpers_and_leaders_that_vanish_are_forgotten() {
+fn lost_helpers_and_leaders_are_removed() {
     let (mut b, [leader, _], [one, _]) = two_leaders();
     let stray = Lease {
         tile: sightline_records::ids::TileIndex(1),
@@ -110,7 +110,7 @@ fn helpers_and_leaders_that_vanish_are_forgotten() {
     assert_eq!(helps(&b, second), [one]);
     b.leave(leader);
     b.wait(5);
-    // The leader's tile went to the helper.
+    // The helper got the leader's tile.
     assert_eq!(b.grants(second).len(), 1);
     b.step(Event::HelpUndelivered(second, one));
     b.wait(2);

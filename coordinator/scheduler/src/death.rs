@@ -1,20 +1,20 @@
-//! Missing workers, and deaths that were counted. `deaths.rs` decides about them.
+//! Missing workers and counted deaths. `deaths.rs` contains the decisions about them.
 
 use sightline_records::ids::{JobId, Lease, TileIndex};
 
-/// A worker whose stream has ended before its first lease.
+/// A worker whose stream has ended while it held at least one lease.
 #[derive(Clone, Debug)]
 pub(super) struct Missing {
     pub(super) name: String,
     pub(super) instance: u64,
-    /// The first lease given.
+    /// The oldest of the leases that the worker held.
     pub(super) lease: Lease,
 }
 
-/// The name of a dead worker, and the tile that it held first.
+/// The job and the tile of the oldest lease that a dead worker held, and the worker's name.
 pub(super) type DeathOf = (JobId, TileIndex, String);
 
-/// A death that was counted.
+/// A counted death of a worker.
 #[derive(Clone, Debug)]
 pub(super) struct Death {
     pub(super) name: String,

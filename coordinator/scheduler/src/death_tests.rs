@@ -1,4 +1,4 @@
-//! Tests of tiles whose workers end without a word.
+//! Tests of tiles whose workers end without a message.
 
 use sightline_records::TileState;
 use sightline_records::ids::{JobId, TileIndex, WorkerId};
@@ -10,7 +10,7 @@ use super::*;
 const JOB: JobId = JobId(1);
 const FIRST: TileIndex = TileIndex(0);
 
-/// Lets a worker with this name and instance join and ask for tiles.
+/// Joins a worker with this name and instance, which requests tiles.
 fn start(b: &mut Bench, name: &str, instance: u64, tiles: u32) -> WorkerId {
     let worker = b.try_join(name, instance, Vec::new()).unwrap().worker;
     b.want(worker, tiles);
@@ -18,17 +18,17 @@ fn start(b: &mut Bench, name: &str, instance: u64, tiles: u32) -> WorkerId {
 }
 
 /// Returns the names of the workers on which the tile failed.
-fn failed_on(b: &Bench, tile: u32) -> Vec<String> {
-    let tile = b.store.tile(JOB, TileIndex(tile)).unwrap();
+fn failed_on(b: &Bench, tile: TileIndex) -> Vec<String> {
+    let tile = b.store.tile(JOB, tile).unwrap();
     tile.failures
         .into_iter()
         .map(|failure| failure.worker)
         .collect()
 }
 
-fn is_set_aside(b: &Bench, tile: u32) -> bool {
+fn is_set_aside(b: &Bench, tile: TileIndex) -> bool {
     matches!(
-        b.scheduler.job(JOB).unwrap().tiles[tile as usize].output,
+        b.scheduler.job(JOB).unwrap().tiles[tile.at()].output,
         Output::SetAside(_)
     )
 }
@@ -37,30 +37,30 @@ fn is_set_aside(b: &Bench, tile: u32) -> bool {
 fn tile_is_set_aside_after_deaths_of_three_workers() {
     let mut b = two_tiles();
     for (at, name) in (1..).zip(["a", "b", "c"]) {
-        assert!(!is_set_aside(&b, 0), "before {name}");
+        assert!(!is_set_aside(&b, TileIndex(0)), "before {name}");
         let worker = start(&mut b, name, at, 1);
         assert_eq!(b.holders()[0], Some(worker));
         b.leave(worker);
         b.wait(3);
     }
-    assert!(is_set_aside(&b, 0));
-    assert_eq!(failed_on(&b, 0), ["a", "b", "c"]);
-    assert!(failed_on(&b, 1).is_empty());
+    assert!(is_set_aside(&b, TileIndex(0)));
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a", "b", "c"]);
+    assert!(failed_on(&b, TileIndex(1)).is_empty());
 }
 
 #[test]
 fn tile_is_set_aside_after_five_deaths_under_one_name() {
     let mut b = two_tiles();
     for life in 1..=5 {
-        assert!(!is_set_aside(&b, 0), "before life {life}");
+        assert!(!is_set_aside(&b, TileIndex(0)), "before life {life}");
         let worker = start(&mut b, "a", life, 1);
         b.leave(worker);
     }
     // The fifth life is missing until another process joins under its name.
-    assert!(!is_set_aside(&b, 0));
+    assert!(!is_set_aside(&b, TileIndex(0)));
     start(&mut b, "a", 6, 1);
-    assert!(is_set_aside(&b, 0));
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    assert!(is_set_aside(&b, TileIndex(0)));
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
 }
 
 #[test]
@@ -70,7 +70,13 @@ fn only_first_lease_of_dead_worker_is_blamed() {
     assert_eq!(b.holders(), [Some(worker), Some(worker)]);
     b.leave(worker);
     start(&mut b, "a", 2, 2);
-    assert_eq!((failed_on(&b, 0).len(), failed_on(&b, 1).len()), (1, 0));
+    assert_eq!(
+        (
+            failed_on(&b, TileIndex(0)).len(),
+            failed_on(&b, TileIndex(1)).len()
+        ),
+        (1, 0)
+    );
 }
 
 #[test]
@@ -80,9 +86,9 @@ fn drained_worker_is_not_dead() {
     b.step(Event::Drains(worker));
     b.leave(worker);
     b.wait(5);
-    assert!(failed_on(&b, 0).is_empty());
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
     start(&mut b, "a", 2, 1);
-    assert!(failed_on(&b, 0).is_empty());
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
 }
 
 #[test]
@@ -94,14 +100,14 @@ fn worker_that_returns_in_time_is_not_dead() {
     b.wait(1);
     assert_eq!(b.try_join("a", 1, vec![lease]).unwrap().kept, [lease]);
     b.wait(5);
-    assert!(failed_on(&b, 0).is_empty());
-    // A worker that has finished the tile in the meantime does not name it.
-    let worker = *b.scheduler.workers.keys().next().unwrap();
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
+    // A worker that has finished the tile in the meantime does not claim it.
+    let worker = *b.scheduler.roster.workers.keys().next().unwrap();
     b.leave(worker);
     b.wait(1);
     b.try_join("a", 1, Vec::new()).unwrap();
     b.wait(5);
-    assert!(failed_on(&b, 0).is_empty());
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
 }
 
 #[test]
@@ -111,14 +117,14 @@ fn late_return_cancels_death() {
         let worker = start(&mut b, name, at, 1);
         b.leave(worker);
         b.wait(3);
-        assert_eq!(failed_on(&b, 0), [name]);
-        // The network was cut, and the process lives.
+        assert_eq!(failed_on(&b, TileIndex(0)), [name]);
+        // The network was interrupted, but the process lives.
         let worker = b.try_join(name, at, Vec::new()).unwrap().worker;
-        assert!(failed_on(&b, 0).is_empty());
+        assert!(failed_on(&b, TileIndex(0)).is_empty());
         b.step(Event::Drains(worker));
         b.leave(worker);
     }
-    assert!(!is_set_aside(&b, 0));
+    assert!(!is_set_aside(&b, TileIndex(0)));
     assert!(b.scheduler.job(JOB).unwrap().tiles[0].deaths.is_empty());
 }
 
@@ -132,21 +138,21 @@ fn other_failure_of_returning_worker_stays() {
     b.leave(worker);
     b.wait(3);
     let worker = b.try_join("a", 1, Vec::new()).unwrap().worker;
-    // The death is cancelled, and the failure before it stays.
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    // The return cancels the death, but the earlier failure stays.
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
     b.want(worker, 1);
     let lease = *b.grants(worker).last().unwrap();
     assert_eq!(lease.tile, FIRST);
     b.fail(worker, lease, false);
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
     b.leave(worker);
     start(&mut b, "a", 2, 1);
     b.wait(3);
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
 }
 
 #[test]
-fn death_of_another_process_of_the_same_name_stays() {
+fn death_of_another_process_with_same_name_stays() {
     for returning in [1, 2] {
         let mut b = two_tiles();
         for instance in [1, 2] {
@@ -154,14 +160,14 @@ fn death_of_another_process_of_the_same_name_stays() {
             b.leave(worker);
             b.wait(3);
         }
-        assert_eq!(failed_on(&b, 0), ["a"]);
+        assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
         let worker = b.try_join("a", returning, Vec::new()).unwrap().worker;
-        assert_eq!(failed_on(&b, 0), ["a"]);
-        // When both have returned, nothing stays.
+        assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
+        // After both processes have returned, no death stays.
         b.step(Event::Drains(worker));
         b.leave(worker);
         b.try_join("a", 3 - returning, Vec::new()).unwrap();
-        assert!(failed_on(&b, 0).is_empty());
+        assert!(failed_on(&b, TileIndex(0)).is_empty());
     }
 }
 
@@ -169,18 +175,18 @@ fn death_of_another_process_of_the_same_name_stays() {
 fn host_that_falls_silent_and_is_lost_later_counts() {
     let mut b = two_tiles();
     let worker = start(&mut b, "a", 1, 1);
-    // Its lease runs out while its connection looks whole.
+    // The worker's lease expires while its connection looks intact.
     b.wait(12);
     assert_eq!(b.holders()[0], None);
-    assert!(failed_on(&b, 0).is_empty());
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
     b.leave(worker);
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
     // A worker that was only slow sends a message before it leaves.
     let worker = start(&mut b, "b", 2, 1);
     b.wait(12);
     b.want(worker, 0);
     b.leave(worker);
-    assert_eq!(failed_on(&b, 0), ["a"]);
+    assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
 }
 
 #[test]
@@ -197,7 +203,7 @@ fn late_output_of_lost_worker_counts_as_no_death() {
     });
     b.wait(5);
     start(&mut b, "a", 2, 1);
-    assert!(failed_on(&b, 0).is_empty());
+    assert!(failed_on(&b, TileIndex(0)).is_empty());
 }
 
 #[test]
@@ -219,10 +225,10 @@ fn deaths_stay_on_record_over_restart_of_coordinator() {
     assert_eq!(b.holders()[0], Some(worker));
     b.leave(worker);
     b.wait(3);
-    assert!(is_set_aside(&b, 0));
+    assert!(is_set_aside(&b, TileIndex(0)));
     assert!(
         matches!(b.store.tile(JOB, FIRST).unwrap().state, TileState::Open),
-        "the bench stores no stand-in"
+        "the bench stores no placeholder"
     );
 }
 
@@ -248,7 +254,7 @@ fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
             b.reopen(JOB);
         }
         let on = b.store.count_death(job, tile, &worker, &reason).unwrap();
-        assert_eq!(failed_on(&b, 0), ["a"]);
+        assert_eq!(failed_on(&b, TileIndex(0)), ["a"]);
         b.step(Event::FailureRecorded {
             job,
             tile,
@@ -256,10 +262,10 @@ fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
             reason,
             dead: Some(worker),
         });
-        assert!(failed_on(&b, 0).is_empty());
-        assert!(b.scheduler.recording.is_empty());
+        assert!(failed_on(&b, TileIndex(0)).is_empty());
+        assert!(b.scheduler.deaths.recording.is_empty());
         if !reopens {
-            // No verdict holds the tile back.
+            // No pending decision holds the tile back.
             let next = start(&mut b, "b", 2, 1);
             assert_eq!(b.holders()[0], Some(next));
         }

@@ -1,9 +1,11 @@
-//! Workers that end without a word: the death of a worker is a failure of the tile that it held first.
+//! Workers that end without a message.
 //!
-//! A worker whose stream has ended is missing. If the same process returns, nothing has happened. It is dead
-//! when another process joins under its name, or when its lease ends. A dead worker that returns after all
-//! had lost its network only: its death is cancelled. Of several leases of a dead worker the first one given
-//! counts, so that tiles fetched in advance are not blamed.
+//! The death of a worker is a failure of the tile that it held first.
+//!
+//! A worker whose stream has ended is missing. If the same process returns, it was not dead. A missing worker
+//! is dead once another process joins under its name, or once its lease ends. If a dead worker returns after
+//! all, only its network had failed, and its death is cancelled. If a dead worker had several leases, only
+//! its oldest lease counts as a failure, because the worker fetched the other tiles in advance.
 
 use sightline_records::ids::{Lease, LeaseId, WorkerId};
 
@@ -12,13 +14,13 @@ use super::event::{Effect, Note, StoreCommand};
 use super::job::Output;
 use super::state::{Scheduler, Worker};
 
-/// Maximum number of deaths that can be cancelled; the scheduler forgets the oldest ones first.
+/// Maximum number of deaths that can be cancelled. The scheduler forgets the oldest deaths first.
 const MAX_DEATHS: usize = 4096;
-/// The reason that is kept with a tile.
-const REASON: &str = "the worker ended without a word while it held the tile";
+/// The reason that the store records for a death.
+const REASON: &str = "the connection of the worker ended while it computed the tile";
 
 impl Scheduler {
-    /// Notes that the stream of a worker that did not drain has ended.
+    /// Records that the stream of a worker that did not drain has ended.
     pub(super) fn miss(&mut self, id: WorkerId, worker: &Worker) {
         let (name, instance) = (worker.name.clone(), worker.instance);
         if let Some(lease) = worker.unheard {
@@ -32,13 +34,13 @@ impl Scheduler {
         let Some(first) = worker.leases.first().copied() else {
             return;
         };
-        if let Some(l) = self.leases.get(&first).filter(|l| !l.checks) {
+        if let Some(l) = self.leases.table.get(&first).filter(|l| !l.checks) {
             let lease = Lease {
                 job: l.job,
                 tile: l.tile,
                 id: first,
             };
-            self.missing.insert(
+            self.deaths.missing.insert(
                 id,
                 Missing {
                     name,
@@ -49,28 +51,31 @@ impl Scheduler {
         }
     }
 
-    /// Notes that a process has joined: either a missing one has returned, or the missing ones of its name
-    /// are dead.
+    /// Records that a process has joined. Either a missing worker has returned, or the missing workers of the
+    /// same name are dead.
     pub(super) fn note_return(&mut self, name: &str, instance: u64) {
         if instance == 0 {
             return;
         }
-        self.missing
+        self.deaths
+            .missing
             .retain(|_, missing| missing.instance != instance);
         self.cancel_deaths(instance);
         let dead: Vec<WorkerId> = self
+            .deaths
             .missing
             .iter()
             .filter(|(_, m)| m.name == name)
             .map(|(id, _)| *id)
             .collect();
         for id in dead {
-            let Some(missing) = self.missing.remove(&id) else {
+            let Some(missing) = self.deaths.missing.remove(&id) else {
                 continue;
             };
             let theirs = |(_, l): &(&LeaseId, &super::state::Leased)| l.worker == id;
             let leases: Vec<LeaseId> = self
                 .leases
+                .table
                 .iter()
                 .filter(theirs)
                 .map(|(lease, _)| *lease)
@@ -82,21 +87,22 @@ impl Scheduler {
         }
     }
 
-    /// Removes and returns the missing worker whose first lease this is.
+    /// Removes and returns the missing worker with this first lease.
     pub(super) fn remove_missing(&mut self, worker: WorkerId, lease: LeaseId) -> Option<Missing> {
-        self.missing
+        self.deaths
+            .missing
             .get(&worker)
             .filter(|missing| missing.lease.id == lease)?;
-        self.missing.remove(&worker)
+        self.deaths.missing.remove(&worker)
     }
 
-    /// Counts the death of a worker as a failure of its tile.
-    pub(super) fn count_death(&mut self, of: Missing) {
+    /// Counts the death of a worker as a failure of the tile that the worker held first.
+    pub(super) fn count_death(&mut self, missing: Missing) {
         let Missing {
             name,
             instance,
             lease,
-        } = of;
+        } = missing;
         let Lease { job: id, tile, .. } = lease;
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -111,17 +117,19 @@ impl Scheduler {
         t.deaths.push(instance);
         t.judged = true;
         job.update_ready(tile);
-        if self.deaths.len() == MAX_DEATHS {
-            self.deaths.pop_front();
+        if self.deaths.recent.len() == MAX_DEATHS {
+            self.deaths.recent.pop_front();
         }
-        self.deaths.push_back(Death {
+        self.deaths.recent.push_back(Death {
             name: name.clone(),
             instance,
             job: id,
             tile,
         });
         self.note(Note::Died(lease, name.clone()));
-        self.recording.insert((id, tile, name.clone()), false);
+        self.deaths
+            .recording
+            .insert((id, tile, name.clone()), false);
         let reason = REASON.to_owned();
         self.effects.push(Effect::Run(StoreCommand::CountDeath {
             job: id,
@@ -133,14 +141,14 @@ impl Scheduler {
         self.tell_watchers(id);
     }
 
-    /// Judges a tile after the store has recorded a death. A death that was cancelled before is taken
-    /// out of the store again.
-    pub(super) fn death_recorded(&mut self, of: DeathOf, on: u32, reason: &str) {
-        if !self.recording.remove(&of).unwrap_or(false) {
-            self.judge(of.0, of.1, (on, true), reason);
+    /// Decides on a tile after the store has recorded a death. If the death was cancelled in the meantime,
+    /// removes it from the store again.
+    pub(super) fn death_recorded(&mut self, subject: DeathOf, on: u32, reason: &str) {
+        if !self.deaths.recording.remove(&subject).unwrap_or(false) {
+            self.judge(subject.0, subject.1, on, true, reason);
             return;
         }
-        let (id, tile, worker) = of;
+        let (id, tile, worker) = subject;
         let reason = REASON.to_owned();
         self.effects.push(Effect::Run(StoreCommand::CancelDeath {
             job: id,
@@ -161,10 +169,10 @@ impl Scheduler {
 
     /// Cancels the deaths of a process that has returned.
     fn cancel_deaths(&mut self, instance: u64) {
-        let (back, rest): (Vec<Death>, Vec<Death>) = std::mem::take(&mut self.deaths)
+        let (back, rest): (Vec<Death>, Vec<Death>) = std::mem::take(&mut self.deaths.recent)
             .into_iter()
             .partition(|death| death.instance == instance);
-        self.deaths = rest.into();
+        self.deaths.recent = rest.into();
         for Death {
             name,
             job: id,
@@ -179,17 +187,18 @@ impl Scheduler {
             {
                 t.deaths.retain(|dead| *dead != instance);
             }
-            // The store keeps one failure for a name: it also stands for the death of another process.
+            // The store records one failure per name, which also represents the death of another process.
             if self
                 .deaths
+                .recent
                 .iter()
                 .any(|other| (&other.name, other.job, other.tile) == (&name, id, tile))
             {
                 continue;
             }
             let key = (id, tile, name);
-            // A cancellation that overtook the record would leave it there.
-            if let Some(is_cancelled) = self.recording.get_mut(&key) {
+            // A cancellation that overtook the record would leave the record in the store.
+            if let Some(is_cancelled) = self.deaths.recording.get_mut(&key) {
                 *is_cancelled = true;
                 continue;
             }

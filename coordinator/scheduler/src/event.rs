@@ -1,7 +1,7 @@
 //! The events that the scheduler receives, and the effects that it returns.
 //!
-//! An [`Event`] has happened already. An [`Effect`] is to be carried out by the caller, in the order of the
-//! list; the outcome of a [`StoreCommand`] comes back as a later event.
+//! An [`Event`] has already happened. The caller executes each [`Effect`] in the order of the list. The
+//! outcome of a [`StoreCommand`] is reported by a later event.
 
 use std::sync::Arc;
 
@@ -9,250 +9,253 @@ use sightline_model::PlannedJob;
 use sightline_records::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
 use sightline_records::{JobRecord, TileStats};
 
-use super::job::Job;
+use super::job::OpenJob;
 use super::messages::{Introduction, Joined, NameTaken, ProfileTime, Progress, WorkerCommand};
 
-/// A failed tile.
+/// The failure of a tile.
 #[derive(Clone, Debug)]
 pub struct Failure {
-    /// Its lease.
+    /// The lease of the tile.
     pub lease: Lease,
-    /// The worker's description.
+    /// The worker's description of the failure.
     pub reason: String,
-    /// Whether the machine or the network is at fault and not the tile.
+    /// True if the machine or the network is at fault, and not the tile.
     pub infrastructure: bool,
 }
 
-/// Something that has happened.
+/// An event of the coordinator, its store, its workers or its clock.
 #[derive(Debug)]
 pub enum Event {
-    /// A job that has not ended, from the store.
-    TakenUp(Box<Job>),
-    /// From now on only tiles of this job are leased.
+    /// The store has a job that has not ended.
+    TakenUp(Box<OpenJob>),
+    /// The scheduler must lease only tiles of this job from now on.
     Restricted(JobId),
     /// The record of a job has changed in the store.
     JobChanged(Box<JobRecord>),
-    /// The tiles of a paused job are to stop now.
+    /// The tiles of a paused job must stop now.
     Stopped(JobId),
-    /// A worker's stream has begun. Answered by [`Effect::Joined`].
+    /// A worker's stream has begun. The answer is [`Effect::Joined`].
     Joined(Introduction),
-    /// A worker's stream has ended. Answered by [`Effect::Left`].
+    /// A worker's stream has ended. The answer is [`Effect::Left`].
     Left(WorkerId),
-    /// A worker wants this many more tiles.
+    /// A worker requests this many additional tiles.
     Wanted(WorkerId, u32),
-    /// A worker takes no more tiles.
+    /// A worker accepts no further tiles.
     Drains(WorkerId),
-    /// A tile makes progress.
+    /// A worker reports the progress of a tile.
     Progressed(Progress),
     /// A tile failed on a worker.
     Failed(WorkerId, Failure),
-    /// A worker timed its backends for a job.
+    /// A worker has timed its backends for a job.
     Timed(WorkerId, JobId, Vec<ProfileTime>),
-    /// The store has an output of the tile.
+    /// The store has committed an output of the tile.
     Committed {
-        /// The lease under which it arrived.
+        /// The lease under which the output arrived.
         lease: Lease,
-        /// Digest of the output.
+        /// The digest of the output.
         digest: Digest,
-        /// What it cost.
+        /// The cost of the output.
         stats: TileStats,
     },
-    /// A done tile was computed again under this lease.
+    /// A worker has computed a done tile again under this lease.
     Checked {
-        /// The lease.
+        /// The lease of the check.
         lease: Lease,
-        /// Digest of what arrived.
+        /// The digest of the received output.
         digest: Digest,
     },
-    /// An output that arrived under this lease differs from the one that the tile has.
+    /// An output that arrived under this lease differs from the tile's output.
     Differed {
-        /// The lease.
+        /// The lease of the differing output.
         lease: Lease,
-        /// Digest of what arrived.
+        /// The digest of the received output.
         digest: Digest,
     },
-    /// The worker of this name gets no tiles any more.
+    /// The worker with this signature was quarantined.
     Quarantined(String),
-    /// The outcomes of phases in which quarantined workers may have had a hand are removed.
+    /// The coordinator has removed the outcomes of phases to which quarantined workers may have contributed.
     Swept,
-    /// The worker of this name gets tiles again.
+    /// The quarantine of the worker with this signature has ended.
     Released(String),
     /// The output that arrived under this lease could not be written.
     DiskFull(Lease),
-    /// An order with a lease could not be sent to its worker.
+    /// A command with this lease could not be sent to its worker.
     Undelivered(WorkerId, Lease),
-    /// [`StoreCommand::Fail`] or [`StoreCommand::CountDeath`] is done: the tile has failed on this many
-    /// different workers.
+    /// [`StoreCommand::Fail`] or [`StoreCommand::CountDeath`] has been executed.
     FailureRecorded {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The failed tile.
         tile: TileIndex,
-        /// Different workers.
+        /// The number of workers on which the tile has failed.
         on: u32,
-        /// The last reason.
+        /// The reason of the last failure.
         reason: String,
-        /// The worker whose death the failure is; `None` for other failures.
+        /// The name of the worker whose death is the failure; `None` for other failures.
         dead: Option<String>,
     },
-    /// A tile of [`StoreCommand::SetAside`] has a stand-in in the store.
+    /// A tile of [`StoreCommand::SetAside`] has a placeholder in the store.
     SetAside {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The tile that was set aside.
         tile: TileIndex,
-        /// Digest of the stand-in.
+        /// The digest of the placeholder.
         digest: Digest,
     },
-    /// [`StoreCommand::Bind`] is done; the store may have known another profile.
+    /// [`StoreCommand::Bind`] has been executed. Contains the recorded profile, which may be an earlier one.
     Bound(JobId, String),
-    /// The store refused a command.
+    /// The store rejected a command.
     Refused(StoreCommand),
     /// The result of a job cannot be written for now.
     AssemblyWaits(JobId),
-    /// The result of a job is not needed for now: it was paused, or has ended.
+    /// The result of a job is not needed for now, because the job was paused or has ended.
     AssemblyDropped(JobId),
     /// The holder of a lease leads a crew, which idle workers can help.
     CrewOpened(Lease),
-    /// The crew has ended.
+    /// The crew of this lease has ended.
     CrewClosed(Lease),
-    /// A worker helps the holder of a lease no more.
+    /// A worker no longer helps the holder of a lease.
     Helped(WorkerId, Lease),
-    /// The order to help the holder of a lease could not be sent to its worker.
+    /// The command to help the holder of a lease could not be sent to its worker.
     HelpUndelivered(WorkerId, Lease),
-    /// Time has passed. Expiries are looked at with this event alone.
+    /// Time has passed. The scheduler checks deadlines only on this event.
     Tick,
 }
 
-/// How a worker's stream ended.
+/// The way in which a worker's stream ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Departure {
-    /// The worker had said that it takes no more tiles.
+    /// The worker had announced that it accepts no further tiles.
     Drained,
-    /// The worker had said nothing; it may return for its leases.
+    /// The worker had announced nothing. It may return for its leases.
     Lost,
 }
 
-/// A change of the store. Each runs outside of any lock and ends with an event.
+/// A change of the store. The caller executes each command outside of any lock and reports it by an event.
 #[derive(Clone, Debug)]
 pub enum StoreCommand {
-    /// Bind a job to a profile: [`Event::Bound`].
+    /// Bind a job to a profile. Reported by [`Event::Bound`].
     Bind(JobId, String),
-    /// Move a queued job to running: [`Event::JobChanged`].
+    /// Move a queued job to running. Reported by [`Event::JobChanged`].
     Start(JobId),
-    /// Record a failure: [`Event::FailureRecorded`].
+    /// Record a failure. Reported by [`Event::FailureRecorded`].
     Fail {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The failed tile.
         tile: TileIndex,
-        /// The worker's name.
+        /// The name of the worker.
         worker: String,
-        /// Its reason.
+        /// The worker's reason.
         reason: String,
     },
-    /// Record the death of a worker as a failure: [`Event::FailureRecorded`].
+    /// Record the death of a worker as a failure. Reported by [`Event::FailureRecorded`].
     CountDeath {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The tile that the worker held first.
         tile: TileIndex,
-        /// The worker's name.
+        /// The name of the worker.
         worker: String,
-        /// The reason that is kept.
+        /// The recorded reason.
         reason: String,
     },
-    /// Forget the death of a worker that has returned.
+    /// Remove the death of a worker that has returned.
     CancelDeath {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The tile that the worker held first.
         tile: TileIndex,
-        /// The worker's name.
+        /// The name of the worker.
         worker: String,
-        /// The reason that is kept.
+        /// The recorded reason.
         reason: String,
     },
-    /// Set tiles aside, in this order: [`Event::SetAside`] for each.
+    /// Set tiles aside in this order. Reported by [`Event::SetAside`] for each tile.
     SetAside {
-        /// The job.
+        /// The job of the tiles.
         job: JobId,
-        /// Its specification and plan, from which the stand-ins are made.
-        work: Arc<PlannedJob>,
-        /// The tiles.
+        /// The specification and plan of the job, from which the placeholders are made.
+        planned: Arc<PlannedJob>,
+        /// The tiles to set aside.
         tiles: Vec<TileIndex>,
-        /// Why.
+        /// The reason for setting the tiles aside.
         reason: String,
     },
-    /// Record that this worker has computed the same for a tile.
+    /// Record that this worker has computed the same output for a tile.
     Confirm {
-        /// The job.
+        /// The job of the tile.
         job: JobId,
-        /// The tile.
+        /// The confirmed tile.
         tile: TileIndex,
-        /// Digest of what both have computed.
+        /// The digest of the output that both workers have computed.
         digest: Digest,
-        /// The worker's name.
+        /// The name of the worker.
         worker: String,
     },
-    /// Record that these workers are quarantined, and have what they did since they were last right computed
-    /// again: [`Event::TakenUp`] for each job of which that is a part.
+    /// Record that workers are quarantined, and reopen the tiles that they contributed to. Tiles that a
+    /// worker committed no later than its last confirmed result stay done. Reported by [`Event::TakenUp`] for
+    /// each affected job.
     Quarantine {
-        /// Their names.
+        /// The signatures of the workers.
         workers: Vec<String>,
-        /// The tile by which they were found, if its output was theirs: it is computed again in any case.
+        /// The tile whose wrong output led to the quarantine, if its stored output was wrong. It is always
+        /// reopened.
         condemned: Option<(JobId, TileIndex)>,
-        /// Why.
+        /// The reason for the quarantine.
         reason: String,
     },
-    /// End a job without a result: [`Event::JobChanged`].
+    /// End a job without a result. Reported by [`Event::JobChanged`].
     FailJob(JobId, String),
 }
 
-/// Something for people to read.
+/// A message for the log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Note {
-    /// A lease has ended before its tile.
+    /// A lease has ended before its tile was done. Contains the worker's name and the reason.
     TakenBack(Lease, Option<String>, &'static str),
-    /// An idle worker takes the waiting tile of this worker.
+    /// An idle worker takes over the waiting tile of this worker.
     TakenOver(Lease, String),
-    /// An idle worker gets a tile that another worker has been busy with for long.
+    /// An idle worker gets a second lease on a tile that runs for an unusually long time.
     Doubled(Lease),
-    /// A tile failed on this worker.
+    /// A tile failed on this worker for this reason.
     TileFailed(Lease, String, String),
-    /// This worker died with a tile.
+    /// This worker died while it held the tile.
     Died(Lease, String),
-    /// A tile was computed again with the same bytes, by this worker.
+    /// This worker computed a tile again with the same bytes.
     Agrees(JobId, TileIndex, String),
-    /// A tile was computed again with other bytes; all who had a hand in any of them.
+    /// A worker computed a tile again with other bytes. Contains all workers that contributed to either
+    /// output.
     Differs(JobId, TileIndex, Vec<String>),
-    /// Only a third worker can say which bytes of a tile are right.
+    /// The bytes of a tile differ, and only a third worker can decide which are right.
     NeedsThird(JobId, TileIndex),
-    /// A tile was drawn and is not checked, and why.
+    /// A tile was drawn for a check but is not checked, for this reason.
     Unchecked(JobId, TileIndex, &'static str),
-    /// A worker drains.
+    /// This worker drains.
     Draining(String),
-    /// The outcome of timing.
+    /// The profile that the timing of backends has chosen for a job.
     Chosen(JobId, String),
-    /// Leases of an earlier epoch were waited for, and this many tiles are free again.
+    /// The wait of this job for leases of an earlier epoch has ended. This number of its tiles can be leased,
+    /// and is granted from now on.
     GraceOver(JobId, usize),
 }
 
-/// Something to be done.
+/// An action that the caller must execute.
 #[derive(Debug)]
 pub enum Effect {
-    /// Send an order to a worker.
+    /// Send a command to a worker.
     Tell(WorkerId, WorkerCommand),
     /// Change the store.
     Run(StoreCommand),
     /// Assemble the result of a job whose tiles are complete.
     Assemble(JobId),
-    /// Tell the watchers of a job.
+    /// Notify the watchers of a job.
     Changed(JobId),
     /// The answer to [`Event::Joined`].
     Joined(Result<Joined, NameTaken>),
     /// The answer to [`Event::Left`].
     Left(Departure),
-    /// Write a line to the log.
+    /// Write a message to the log.
     Note(Note),
 }

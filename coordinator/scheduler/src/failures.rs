@@ -1,4 +1,4 @@
-//! Tiles that fail: back-off after faults of machines and networks, and tiles that are set aside.
+//! Failing tiles: back-off after faults of machines and networks, and tiles that are set aside.
 
 use sightline_records::ids::{JobId, Lease, TileIndex, WorkerId};
 
@@ -7,18 +7,19 @@ use super::job::Output;
 use super::messages::Now;
 use super::state::{Scheduler, Timer};
 
-/// Different workers that a tile must fail on before it is set aside.
+/// The number of workers that a tile must fail on before it is set aside.
 const WORKERS_TO_FAIL: u32 = 3;
-/// Failures of one tile after which it is set aside, when fewer than three workers are there to try it.
+/// The number of failures after which a tile is set aside, independent of the number of workers.
 pub(super) const MAX_ATTEMPTS: u32 = 5;
-/// Faults of machines or networks after which the failures of a tile count against the tile.
+/// The number of faults of machines and networks from which on each fault of a tile counts as a failure of
+/// the tile.
 const MAX_FAULTS: u32 = 12;
-/// The wait after a first fault of a machine or network doubles with each further one, this many times at
-/// most.
+/// Maximum number of doublings of the wait after a fault of a machine or network. Each fault after the first
+/// doubles the wait.
 const MOST_DOUBLINGS: u32 = 6;
 
 impl Scheduler {
-    /// Counts a tile's failure.
+    /// Counts the failure of a tile.
     pub(super) fn failed(&mut self, worker: WorkerId, failure: Failure, now: Now) {
         let Failure {
             lease,
@@ -28,15 +29,17 @@ impl Scheduler {
         let Lease { job: id, tile, .. } = lease;
         if self
             .leases
+            .table
             .get(&lease.id)
             .is_none_or(|l| (l.job, l.tile) != (id, tile))
         {
             return;
         }
-        let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
+        let checks = self.leases.table.get(&lease.id).is_some_and(|l| l.checks);
         self.end_lease(lease.id, false);
         self.tell_watchers(id);
         let name = self
+            .roster
             .workers
             .get(&worker)
             .map(|w| w.name.clone())
@@ -71,8 +74,9 @@ impl Scheduler {
         self.list_job(id);
     }
 
-    /// Lets a tile wait, longer after each fault, and a different time for each tile: those that failed
-    /// together are not tried again together.
+    /// Delays a tile after a fault: by about 1 s, doubled with each further fault, and with jitter.
+    ///
+    /// Because of the jitter, tiles that failed together are not retried together.
     pub(super) fn back_off(&mut self, id: JobId, tile: TileIndex, now: Now) {
         let jitter = 0.75 + 0.5 * self.random.unit_f64();
         let Some(job) = self.jobs.get_mut(&id) else {
@@ -87,15 +91,11 @@ impl Scheduler {
         self.list_job(id);
     }
 
-    /// Decides on a tile whose failure is recorded: on how many workers it has failed, and whether this one
-    /// is a death.
-    pub(super) fn judge(
-        &mut self,
-        id: JobId,
-        tile: TileIndex,
-        (on, died): (u32, bool),
-        reason: &str,
-    ) {
+    /// Sets a tile aside if its failures, of which the store has just recorded one, are too many; otherwise
+    /// lets workers try the tile again.
+    ///
+    /// `on` is the number of workers on which the tile has failed. `died` is true if this failure is a death.
+    pub(super) fn judge(&mut self, id: JobId, tile: TileIndex, on: u32, died: bool, reason: &str) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
         };
@@ -111,16 +111,16 @@ impl Scheduler {
                 job.tiles[lost.at()].judged = true;
                 job.update_ready(*lost);
             }
-            // The tiles that need it first: if this is interrupted half-way, the tile is still open and fails
+            // Set the dependent tiles aside first: if this is interrupted, the tile is still open and fails
             // again.
             let reason = match on {
                 1 => format!("tile {tile} failed {attempts} times on one worker: {reason}"),
                 _ => format!("tile {tile} failed on {on} workers: {reason}"),
             };
-            let work = std::sync::Arc::clone(&job.work);
+            let planned = std::sync::Arc::clone(&job.planned);
             self.effects.push(Effect::Run(StoreCommand::SetAside {
                 job: id,
-                work,
+                planned,
                 tiles,
                 reason,
             }));

@@ -1,9 +1,10 @@
-//! Who gets which tile: higher priorities first, then the user whose turn it is, then the oldest job, then
-//! the plan's order.
+//! The assignment of tiles to workers.
 //!
-//! A worker holds a second tile only while there are more ready tiles than idle workers. When no tile is
-//! ready, an idle worker takes over a tile that waits in the hands of a busy one. At the end of a job it gets
-//! a second lease on a tile that takes much longer than the others.
+//! Tiles are assigned by priority, then by user, then by the age of the job, then in the plan's order.
+//!
+//! A worker holds a second tile only while the number of ready tiles exceeds the number of idle workers. If
+//! no tile is ready, an idle worker takes over a waiting tile of a busy worker. At the end of a job, an idle
+//! worker gets a second lease on a tile that takes much longer than the others.
 
 use std::sync::Arc;
 
@@ -16,15 +17,16 @@ use super::pools::{List, Profile};
 use super::spot_check::Name;
 use super::state::Scheduler;
 
-/// A tile gets a second lease after this many times the mean of its job, and not before this many
-/// milliseconds.
+/// The factor on the job's mean tile time after which a tile gets a second lease. The minimum is
+/// `LEAST_STRAGGLE` milliseconds.
 const STRAGGLES: u64 = 2;
 const LEAST_STRAGGLE: u64 = 5000;
-/// Second leases of a profile in one tick.
+/// Maximum number of second leases that the scheduler grants for a profile in one tick.
 const MOST_DOUBLED: usize = 16;
 
 impl Scheduler {
-    /// Puts a job into the list in which it belongs now.
+    /// Lists a job under its profile, or among the jobs without a profile. Removes a job from the lists if
+    /// none of its tiles can be leased now.
     pub(super) fn list_job(&mut self, id: JobId) {
         let Some(job) = self.jobs.get(&id) else {
             return;
@@ -39,7 +41,7 @@ impl Scheduler {
         let belongs = fit.then_some((list, ready));
         if job.listed == belongs {
             if let Some((List::Bound(profile), _)) = belongs {
-                self.pools.dirty.insert(profile);
+                self.queues.pools.dirty.insert(profile);
             }
             return;
         }
@@ -47,60 +49,61 @@ impl Scheduler {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
         };
-        let (place, whom) = (job.place(), job.whom.clone());
+        let (place, key) = (job.place(), job.key.clone());
         job.listed = belongs.clone();
-        let share = self.share(&whom.user);
+        let share = self.share(&key.user);
         match &belongs {
             Some((List::Bound(profile), ready)) => {
-                let pool = self.pools.at(profile);
-                pool.jobs.insert(&whom, share, id);
+                let pool = self.queues.pools.at(profile);
+                pool.jobs.insert(&key, share, id);
                 pool.ready += ready;
             }
             Some((List::Unbound(choice), _)) => {
-                self.pools.unbound[*choice].insert(place);
+                self.queues.pools.unbound[*choice].insert(place);
             }
             None => {}
         }
     }
 
-    /// Takes a job out of its list.
+    /// Removes a job from its list.
     pub(super) fn unlist_job(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
         };
-        let (place, whom) = (job.place(), job.whom.clone());
+        let (place, key) = (job.place(), job.key.clone());
         let listed = job.listed.take();
-        let share = self.share(&whom.user);
+        let share = self.share(&key.user);
         match listed {
             Some((List::Bound(profile), ready)) => {
-                let pool = self.pools.at(&profile);
-                pool.jobs.remove(&whom, share, &id);
+                let pool = self.queues.pools.at(&profile);
+                pool.jobs.remove(&key, share, &id);
                 pool.ready -= ready;
-                self.pools.tidy(&profile);
+                self.queues.pools.tidy(&profile);
             }
             Some((List::Unbound(choice), _)) => {
-                self.pools.unbound[choice].remove(&place);
+                self.queues.pools.unbound[choice].remove(&place);
             }
             None => {}
         }
     }
 
-    /// Grants what can be granted.
+    /// Grants all tiles that can be granted now.
     pub(super) fn settle(&mut self, now: Now) {
-        if self.paused_until.is_some() {
+        if self.time.paused_until.is_some() {
             return;
         }
-        // First, so that a job without a profile does not wait until those with one leave a worker over.
+        // Bind jobs first: otherwise a job without a profile waits until bound jobs leave a worker idle.
         while self.bind_one(now) {}
-        while let Some(profile) = self.pools.dirty.pop_first() {
+        while let Some(profile) = self.queues.pools.dirty.pop_first() {
             while self.settle_one(&profile, now) {}
             while self.send_helper(&profile) {}
         }
     }
 
-    /// Takes the next decision about a profile; returns whether there may be another one.
+    /// Grants a check, a ready tile or a waiting tile to a worker of a profile. Returns true if another grant
+    /// may follow.
     fn settle_one(&mut self, profile: &Profile, now: Now) -> bool {
-        let Some(pool) = self.pools.of.get(profile) else {
+        let Some(pool) = self.queues.pools.by_profile.get(profile) else {
             return false;
         };
         let idle = pool.hungry[0].first().copied();
@@ -109,12 +112,12 @@ impl Scheduler {
             .copied()
             .filter(|_| pool.ready > pool.idle.len());
         if let Some(worker) = idle
-            && !self.spotted.is_empty()
+            && !self.trust.spotted.is_empty()
             && self.check_first(worker, profile, now)
         {
             return true;
         }
-        let Some(pool) = self.pools.of.get(profile) else {
+        let Some(pool) = self.queues.pools.by_profile.get(profile) else {
             return false;
         };
         let Some((_, &id)) = pool.jobs.first() else {
@@ -131,20 +134,21 @@ impl Scheduler {
         if self.serve(worker, now) {
             return true;
         }
-        // Nothing for this worker: the first job waits for the store, or has to be told that it runs.
+        // The worker gets no tile: the first job waits for the store, or the store must record that this job
+        // runs.
         self.start(id);
         false
     }
 
-    /// Whether a waiting tile may go to another worker: not while its job is paused, and no check.
+    /// Returns true if a waiting tile may move to another worker. Checks and tiles of paused jobs may not.
     fn may_move_tile(&self, lease: LeaseId) -> bool {
-        let Some(l) = self.leases.get(&lease).filter(|l| !l.checks) else {
+        let Some(l) = self.leases.table.get(&lease).filter(|l| !l.checks) else {
             return false;
         };
         self.jobs.get(&l.job).is_some_and(|job| self.allowed(job))
     }
 
-    /// Asks the store to note that a job runs, before its first tile is leased.
+    /// Tells the store to record that a job runs, before its first tile is leased.
     pub(super) fn start(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -155,14 +159,14 @@ impl Scheduler {
         }
     }
 
-    /// Grants a worker the first tile that it may have; returns whether there was one.
+    /// Grants a worker the first tile that it may have. Returns true if the worker got a tile.
     fn serve(&mut self, worker: WorkerId, now: Now) -> bool {
-        let Some(w) = self.workers.get(&worker) else {
+        let Some(w) = self.roster.workers.get(&worker) else {
             return false;
         };
         let busy = !w.leases.is_empty();
         let first = |profile: &Profile| {
-            let pool = self.pools.of.get(profile)?;
+            let pool = self.queues.pools.by_profile.get(profile)?;
             let (turn, &id) = pool.jobs.first()?;
             let job = self.jobs.get(&id)?;
             let may = job.record.state.phase() == JobPhase::Running && !job.pending;
@@ -188,49 +192,56 @@ impl Scheduler {
         profile: Profile,
         now: Now,
     ) {
-        let able = self.pools.of.get(&profile).map_or(1, |p| p.able);
+        let able = self
+            .queues
+            .pools
+            .by_profile
+            .get(&profile)
+            .map_or(1, |p| p.able);
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
         };
-        let lease = LeaseId {
-            epoch: self.settings.epoch,
-            number: self.next_lease,
+        self.leases.count += 1;
+        let lease = Lease {
+            job: id,
+            tile,
+            id: LeaseId {
+                epoch: self.settings.epoch,
+                number: self.leases.count,
+            },
         };
-        self.next_lease += 1;
         let name = self
+            .roster
             .workers
             .get(&worker)
             .map(|w| Name::clone(&w.signature))
             .unwrap_or_default();
-        job.given.push((lease.number, tile, name));
+        job.given.push((lease.id.number, tile, name));
         let grant = Grant {
-            lease: Lease {
-                job: id,
-                tile,
-                id: lease,
-            },
-            work: Arc::clone(&job.work),
+            lease,
+            planned: Arc::clone(&job.planned),
             packs: job.packs(tile),
             millis: job.millis_for_a_tile(able, now),
             profile: profile.to_string(),
         };
-        if let Some(w) = self.workers.get_mut(&worker) {
+        if let Some(w) = self.roster.workers.get_mut(&worker) {
             w.wants -= 1;
         }
         self.call_back(worker);
         self.effects
             .push(Effect::Tell(worker, WorkerCommand::Grant(Box::new(grant))));
-        self.lease(lease, (id, tile), worker, profile, now);
+        self.lease(lease, worker, profile, now);
         self.tell_watchers(id);
     }
 
-    /// Gives an idle worker the waiting tile of a busy one.
+    /// Moves the waiting tile of a busy worker to an idle worker.
     fn take_over(&mut self, worker: WorkerId, tile: TileIndex, lease: LeaseId, now: Now) -> bool {
-        let Some(l) = self.leases.get(&lease) else {
+        let Some(l) = self.leases.table.get(&lease) else {
             return false;
         };
         let (job, profile) = (l.job, Arc::clone(&l.profile));
         let from = self
+            .roster
             .workers
             .get(&l.worker)
             .map(|w| w.name.clone())
@@ -250,17 +261,18 @@ impl Scheduler {
 
     /// Gives idle workers second leases on tiles that take much longer than others of their job.
     pub(super) fn find_stragglers(&mut self, now: Now) {
-        if self.only.is_some() || self.paused_until.is_some() {
+        if self.only.is_some() || self.time.paused_until.is_some() {
             return;
         }
         let hungry = self
+            .queues
             .pools
-            .of
+            .by_profile
             .iter()
             .filter(|(_, p)| !p.hungry[0].is_empty() && p.ready == 0);
         let profiles: Vec<Profile> = hungry.map(|(profile, _)| Arc::clone(profile)).collect();
         for profile in profiles {
-            // A few at a time: this looks at the longest leases one by one.
+            // Only a few leases per tick, because `double_one` inspects the longest leases one by one.
             for _ in 0..MOST_DOUBLED {
                 if !self.double_one(&profile, now) {
                     break;
@@ -270,7 +282,13 @@ impl Scheduler {
     }
 
     fn double_one(&mut self, profile: &Profile, now: Now) -> bool {
-        let Some(pool) = self.pools.of.get(profile).filter(|p| p.waiting.is_empty()) else {
+        let Some(pool) = self
+            .queues
+            .pools
+            .by_profile
+            .get(profile)
+            .filter(|p| p.waiting.is_empty())
+        else {
             return false;
         };
         let Some(&worker) = pool.hungry[0].first() else {
@@ -283,18 +301,18 @@ impl Scheduler {
         let straggler = long
             .map(|(begun, id)| (now.ms - begun, id))
             .find_map(|(ran, id)| {
-                let l = self.leases.get(id)?;
+                let l = self.leases.table.get(id)?;
                 let job = self.jobs.get(&l.job)?;
                 let alone = job.tiles[l.tile.at()].leases.iter().flatten().count() == 1;
                 let mean = job.millis / u64::from(job.done.max(1));
                 let long = job.done > 0 && ran > STRAGGLES * mean;
-                // Idle workers help a crew better than by computing its tile once more.
-                let alone = alone && !self.crews.contains_key(id);
+                // Idle workers are more useful as helpers of a crew than by computing its tile again.
+                let alone = alone && !self.queues.crews.contains_key(id);
                 let may = alone
                     && long
                     && !l.checks
                     && l.gone.is_none()
-                    && job.work.spec().time_budget().is_none();
+                    && job.planned.spec().time_budget().is_none();
                 (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
             });
         let Some((job, tile, id)) = straggler else {
@@ -305,7 +323,7 @@ impl Scheduler {
         true
     }
 
-    /// Ends the wait of a tile after a fault.
+    /// Ends the delay of a tile after a fault.
     pub(super) fn tile_timer(&mut self, id: JobId, tile: TileIndex, now: Now) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -315,14 +333,14 @@ impl Scheduler {
         };
         if t.not_before.is_some_and(|until| until <= now.ms) {
             t.not_before = None;
-            if t.missing > 0 && self.paused_until.is_some() {
+            if t.missing > 0 && self.time.paused_until.is_some() {
                 // The store rejects commands for now.
                 self.back_off(id, tile, now);
                 return;
             }
             job.update_ready(tile);
             self.list_job(id);
-            // The store may have rejected the command that sets it aside.
+            // The store may have rejected the command that sets the tile aside.
             self.set_orphan_aside(id, tile);
         }
     }

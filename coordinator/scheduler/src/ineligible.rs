@@ -1,4 +1,4 @@
-//! Which connected workers cannot work on a job, and why: for people.
+//! The connected workers that cannot work on a job, with the reasons, for display.
 
 use std::collections::BTreeMap;
 
@@ -6,30 +6,32 @@ use sightline_records::ids::JobId;
 
 use super::state::{Scheduler, Worker};
 
-/// Names that are given of the workers with one reason.
+/// Maximum number of worker names that are listed per reason.
 const MOST_NAMES: usize = 20;
 
-/// Workers that cannot work on a job for the same reason.
+/// The workers that cannot work on a job for the same reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Unable {
+pub struct Ineligible {
     /// The reason.
     pub reason: String,
     /// The number of workers.
     pub workers: u32,
-    /// The names of some of the workers.
+    /// The names of the first 20 of these workers.
     pub names: Vec<String>,
 }
 
 impl Scheduler {
-    /// The connected workers that cannot work on a job, by reason; none for a job that has ended.
-    pub fn unable(&self, id: JobId) -> Vec<Unable> {
+    /// Returns the connected workers that cannot work on a job, by reason. Returns an empty list for a job
+    /// that has ended.
+    pub fn ineligible(&self, id: JobId) -> Vec<Ineligible> {
         let Some(job) = self.jobs.get(&id) else {
             return Vec::new();
         };
         let choice = Self::choice_of(job);
         let mut by_reason: BTreeMap<String, (u32, Vec<String>)> = BTreeMap::new();
-        for worker in self.workers.values() {
-            let Some(reason) = self.why(worker, job.record.profile.as_deref(), choice) else {
+        for worker in self.roster.workers.values() {
+            let Some(reason) = self.reason_against(worker, job.record.profile.as_deref(), choice)
+            else {
                 continue;
             };
             let (workers, names) = by_reason.entry(reason).or_default();
@@ -40,7 +42,7 @@ impl Scheduler {
         }
         by_reason
             .into_iter()
-            .map(|(reason, (workers, names))| Unable {
+            .map(|(reason, (workers, names))| Ineligible {
                 reason,
                 workers,
                 names,
@@ -48,7 +50,13 @@ impl Scheduler {
             .collect()
     }
 
-    fn why(&self, worker: &Worker, profile: Option<&str>, choice: usize) -> Option<String> {
+    /// Returns the reason why a worker cannot work on a job, or `None` if it can.
+    fn reason_against(
+        &self,
+        worker: &Worker,
+        profile: Option<&str>,
+        choice: usize,
+    ) -> Option<String> {
         let has = || {
             worker
                 .profiles
@@ -60,20 +68,20 @@ impl Scheduler {
         match profile {
             Some(profile) if !worker.profiles.contains(profile) => {
                 return Some(format!(
-                    "the job is bound to the numerics profile {profile}, and the worker has {}",
+                    "the job is bound to the numerics profile {profile}; the worker's numerics profiles: {}",
                     has()
                 ));
             }
             None if !worker.serves[choice] => {
                 return Some(format!(
-                    "it has no backend that the job asks for; it has {}",
+                    "the worker has no backend that the job allows; the worker's numerics profiles: {}",
                     has()
                 ));
             }
             _ => {}
         }
         if worker.draining {
-            return Some("it takes no more tiles, because it was told to stop".to_owned());
+            return Some("the worker is draining and accepts no more tiles".to_owned());
         }
         self.trouble(worker).map(str::to_owned)
     }

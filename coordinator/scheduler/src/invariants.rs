@@ -1,25 +1,31 @@
-//! Counts the scheduler's lists and totals again from its jobs, workers and leases.
+//! Checks that recompute the scheduler's lists and totals from its jobs, workers and leases.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use sightline_records::ids::{LeaseId, WorkerId};
 
-use super::job::{Job, Output};
+use super::job::{OpenJob, Output};
 use super::messages::Now;
 use super::pools::List;
 use super::queue::User;
 use super::state::{Leased, Scheduler, Timer};
 
 impl Scheduler {
-    /// Returns the state of the workers, the leases and the open jobs, for the message of a failed test.
+    /// Returns the workers, the leases and the open jobs as text, for the message of a failed test.
     #[cfg(test)]
     pub fn state_text(&self) -> String {
         let mut out: Vec<String> = self
+            .roster
             .workers
             .iter()
             .map(|(id, w)| format!("{id:?} {w:?}"))
             .collect();
-        out.extend(self.leases.iter().map(|(id, l)| format!("{id:?} {l:?}")));
+        out.extend(
+            self.leases
+                .table
+                .iter()
+                .map(|(id, l)| format!("{id:?} {l:?}")),
+        );
         for job in self.jobs.values() {
             let tiles = job
                 .indices()
@@ -33,19 +39,19 @@ impl Scheduler {
                 "assembling {} no space {:?}",
                 job.assembling, job.no_space_until
             ));
-            out.extend(tiles.map(|(tile, of)| format!("{tile:?} {of:?}")));
+            out.extend(tiles.map(|(tile, status)| format!("{tile:?} {status:?}")));
         }
         out.push(format!(
             "suspects {:?} quarantined {:?}",
-            self.suspects, self.quarantined
+            self.trust.suspects, self.trust.quarantined
         ));
         out.join("\n")
     }
 
-    /// Compares everything that is kept beside the facts with the facts.
+    /// Compares all derived data with the data that it is derived from.
     ///
     /// # Errors
-    /// The first difference.
+    /// The description of the first difference.
     pub fn check(&self) -> Result<(), String> {
         let ensure = |fine: bool, what: &str| fine.then_some(()).ok_or_else(|| what.to_owned());
         let mut held: BTreeMap<LeaseId, u32> = BTreeMap::new();
@@ -73,37 +79,38 @@ impl Scheduler {
         }
         ensure(held.values().all(|n| *n == 1), "a lease is on two tiles")?;
         ensure(
-            held.keys().eq(self.leases.keys()),
+            held.keys().eq(self.leases.table.keys()),
             "the tiles' leases are not those of the list",
         )?;
-        for (id, l) in &self.leases {
+        for (id, l) in &self.leases.table {
             ensure(
-                self.timers.contains(&(l.timer, Timer::Lease(*id))),
+                self.time.timers.contains(&(l.timer, Timer::Lease(*id))),
                 "a lease has no timer",
             )?;
             ensure(
-                self.workers
+                self.roster
+                    .workers
                     .get(&l.worker)
                     .is_some_and(|w| w.leases.contains(id))
                     == l.gone.is_none(),
                 "a lease's worker does not hold it",
             )?;
         }
-        for (worker, missing) in &self.missing {
+        for (worker, missing) in &self.deaths.missing {
             let held = |l: &Leased| l.worker == *worker && l.gone.is_some();
             ensure(
-                self.leases.get(&missing.lease.id).is_some_and(held),
+                self.leases.table.get(&missing.lease.id).is_some_and(held),
                 "a missing worker's lease has ended",
             )?;
         }
-        for (id, w) in &self.workers {
+        for (id, w) in &self.roster.workers {
             ensure(
-                w.leases.iter().all(|l| self.leases[l].worker == *id),
+                w.leases.iter().all(|l| self.leases.table[l].worker == *id),
                 "a worker holds another's lease",
             )?;
             self.check_worker(*id)?;
         }
-        for pool in self.pools.of.values() {
+        for pool in self.queues.pools.by_profile.values() {
             let ready: usize = pool
                 .jobs
                 .all()
@@ -111,15 +118,18 @@ impl Scheduler {
                 .sum();
             ensure(ready == pool.ready, "a pool's ready tiles are miscounted")?;
             ensure(
-                pool.begun
-                    .iter()
-                    .all(|(at, id)| self.leases.get(id).is_some_and(|l| l.begun == Some(*at))),
+                pool.begun.iter().all(|(at, id)| {
+                    self.leases
+                        .table
+                        .get(id)
+                        .is_some_and(|l| l.begun == Some(*at))
+                }),
                 "a pool's list of begun tiles is stale",
             )?;
             ensure(
                 pool.waiting
                     .iter()
-                    .all(|(_, _, id)| self.leases.get(id).is_some_and(|l| l.waits)),
+                    .all(|(_, _, id)| self.leases.table.get(id).is_some_and(|l| l.waits)),
                 "a pool's list of waiting tiles is stale",
             )?;
         }
@@ -128,7 +138,7 @@ impl Scheduler {
             .iter()
             .flat_map(|(id, job)| job.spots.keys().map(|tile| (*id, *tile)));
         ensure(
-            spots.eq(self.spotted.iter().copied()),
+            spots.eq(self.trust.spotted.iter().copied()),
             "the list of checks is not that of the jobs",
         )?;
         self.check_crews()?;
@@ -136,13 +146,13 @@ impl Scheduler {
         self.check_work_conservation()
     }
 
-    /// After a tick no lease is there that has ended.
+    /// Checks after a tick that every expired lease has ended.
     ///
     /// # Errors
-    /// One that is.
+    /// The description of an expired lease that exists.
     pub fn check_expiries(&self, now: Now) -> Result<(), String> {
-        let over = |l: &&Leased| self.deadline(l).0 < now.ms && self.patient_until <= now.ms;
-        match self.leases.values().find(over) {
+        let over = |l: &&Leased| self.deadline(l).0 < now.ms && self.time.patient_until <= now.ms;
+        match self.leases.table.values().find(over) {
             Some(l) => Err(format!(
                 "a lease on tile {} of job {} should have ended",
                 l.tile, l.job
@@ -151,7 +161,7 @@ impl Scheduler {
         }
     }
 
-    fn check_job(&self, job: &Job) -> Result<(), String> {
+    fn check_job(&self, job: &OpenJob) -> Result<(), String> {
         let ensure = |fine: bool, what: &str| {
             fine.then_some(())
                 .ok_or_else(|| format!("job {}: {what}", job.record.id))
@@ -170,6 +180,7 @@ impl Scheduler {
         )?;
         let leases: Vec<_> = self
             .leases
+            .table
             .values()
             .filter(|l| l.job == job.record.id)
             .collect();
@@ -182,10 +193,10 @@ impl Scheduler {
             leases.iter().map(|l| l.samples).sum::<u64>() == job.running_samples,
             "samples",
         )?;
-        for (tile, planned) in job.tiles.iter().zip(&job.work.plan().tiles) {
+        for (tile, planned_tile) in job.tiles.iter().zip(&job.planned.plan().tiles) {
             let open = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
             ensure(
-                planned.needs.iter().filter(open).count() as u32 == tile.missing,
+                planned_tile.needs.iter().filter(open).count() as u32 == tile.missing,
                 "needed tiles",
             )?;
         }
@@ -193,12 +204,13 @@ impl Scheduler {
             Some((List::Bound(p), n)) => {
                 *n == job.ready.len()
                     && self
+                        .queues
                         .pools
-                        .of
+                        .by_profile
                         .get(p)
-                        .is_some_and(|pool| pool.jobs.has(&job.whom, &job.record.id))
+                        .is_some_and(|pool| pool.jobs.has(&job.key, &job.record.id))
             }
-            Some((List::Unbound(c), _)) => self.pools.unbound[*c].contains(&job.place()),
+            Some((List::Unbound(c), _)) => self.queues.pools.unbound[*c].contains(&job.place()),
             None => {
                 let bound = job.record.profile.is_some() || !job.pending;
                 !(self.allowed(job)
@@ -212,12 +224,12 @@ impl Scheduler {
     }
 
     fn check_worker(&self, id: WorkerId) -> Result<(), String> {
-        let w = &self.workers[&id];
+        let w = &self.roster.workers[&id];
         let fit = !w.draining && !self.is_barred(&w.signature);
-        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.silent;
+        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.unresponsive;
         let idle = w.leases.is_empty();
         let fine = w.profiles.iter().all(|p| {
-            self.pools.of.get(p).is_some_and(|pool| {
+            self.queues.pools.by_profile.get(p).is_some_and(|pool| {
                 pool.idle.contains(&id) == (idle && fit)
                     && pool.hungry[0].contains(&id) == (hungry && idle)
                     && pool.hungry[1].contains(&id) == (hungry && !idle)
@@ -229,15 +241,16 @@ impl Scheduler {
             .ok_or_else(|| format!("worker {} is in the wrong lists", id.0))
     }
 
-    /// Every crew has a lease and as many helpers as workers say, and nobody is free who could help.
+    /// Checks the lease and the helpers of every crew. Also checks that no crew lacks an available helper.
     fn check_crews(&self) -> Result<(), String> {
         let ensure = |fine: bool, what: &str| fine.then_some(()).ok_or_else(|| what.to_owned());
-        for (id, crew) in &self.crews {
+        for (id, crew) in &self.queues.crews {
             ensure(self.is_leased(&crew.lease), "a crew has no lease")?;
             let helpers = crew.helpers.len();
-            // Those who helped an earlier crew of this lease are still on their way back.
+            // Workers that helped an earlier crew of this lease are still returning.
             let helps = |w: &WorkerId| {
-                self.workers
+                self.roster
+                    .workers
                     .get(w)
                     .is_some_and(|w| w.helps == Some(crew.lease))
             };
@@ -245,28 +258,41 @@ impl Scheduler {
                 crew.helpers.keys().all(helps),
                 "a crew has a helper who does not know it",
             )?;
-            let pool = self.pools.of.get(&crew.profile);
+            let pool = self.queues.pools.by_profile.get(&crew.profile);
             ensure(
-                pool.is_some_and(|p| p.crews.has(&crew.whom, &(helpers, *id))),
+                pool.is_some_and(|p| p.crews.has(&crew.key, &(helpers, *id))),
                 "a crew is in no list",
             )?;
         }
-        let listed: usize = self.pools.of.values().map(|p| p.crews.all().count()).sum();
-        let counted: usize = self.pools.of.values().map(|p| p.crew_count).sum();
-        let fine = listed == self.crews.len() && counted == listed;
+        let listed: usize = self
+            .queues
+            .pools
+            .by_profile
+            .values()
+            .map(|p| p.crews.all().count())
+            .sum();
+        let counted: usize = self
+            .queues
+            .pools
+            .by_profile
+            .values()
+            .map(|p| p.crew_count)
+            .sum();
+        let fine = listed == self.queues.crews.len() && counted == listed;
         ensure(fine, "a crew that has ended is in a list")?;
         let wasted = |p: &super::pools::Pool| p.crew_with_room().is_some() && !p.helpers.is_empty();
-        let paused = self.paused_until.is_some();
+        let paused = self.time.paused_until.is_some();
         ensure(
-            paused || !self.pools.of.values().any(wasted),
+            paused || !self.queues.pools.by_profile.values().any(wasted),
             "a crew could have another helper",
         )?;
-        // Those that were called back for a tile cannot move.
+        // Helpers that were called back for a tile cannot move.
         let called = self
+            .roster
             .workers
             .values()
             .any(|w| w.helps.is_some() && (!w.leases.is_empty() || w.draining));
-        let uneven = self.pools.of.values().any(|p| {
+        let uneven = self.queues.pools.by_profile.values().any(|p| {
             let few = p.crew_with_room().map(|(turn, _)| turn.0);
             let many = p.crews.richest(|crew| crew.0 > 0).map(|(turn, _)| turn.0);
             few.zip(many).is_some_and(|(few, many)| many > few)
@@ -277,24 +303,26 @@ impl Scheduler {
         )
     }
 
-    /// Every user's share is counted right, and the lists are in its order.
+    /// Checks every user's share, and that the lists are ordered by the shares.
     fn check_shares(&self) -> Result<(), String> {
         let mut workers: BTreeMap<&User, (u32, u32)> = BTreeMap::new();
         self.jobs
             .values()
-            .for_each(|job| workers.entry(&job.whom.user).or_default().0 += 1);
-        let leased = self.leases.values().map(|l| (l.job, 1));
+            .for_each(|job| workers.entry(&job.key.user).or_default().0 += 1);
+        let leased = self.leases.table.values().map(|l| (l.job, 1));
         let helped = self
+            .queues
             .crews
             .values()
             .map(|crew| (crew.lease.job, crew.helpers.len() as u32));
         for (job, n) in leased.chain(helped) {
-            workers.entry(&self.jobs[&job].whom.user).or_default().1 += n;
+            workers.entry(&self.jobs[&job].key.user).or_default().1 += n;
         }
         let counted = workers
             .iter()
             .map(|(user, (jobs, workers))| (*user, *jobs, *workers));
         let kept = self
+            .queues
             .accounts
             .iter()
             .map(|(user, a)| (user, a.jobs, a.share.workers));
@@ -305,17 +333,17 @@ impl Scheduler {
             p.jobs.is_in_order(|user| self.share(user))
                 && p.crews.is_in_order(|user| self.share(user))
         };
-        let fine = self.pools.of.values().all(ordered);
+        let fine = self.queues.pools.by_profile.values().all(ordered);
         fine.then_some(())
             .ok_or_else(|| "a list is not in the order of the users' shares".to_owned())
     }
 
-    /// Everything ready is leased when somebody able is idle.
+    /// Checks that no worker is idle while a tile that it could compute is ready.
     fn check_work_conservation(&self) -> Result<(), String> {
-        if self.paused_until.is_some() {
+        if self.time.paused_until.is_some() {
             return Ok(());
         }
-        for (profile, pool) in &self.pools.of {
+        for (profile, pool) in &self.queues.pools.by_profile {
             let waits_for_store = pool
                 .jobs
                 .first()

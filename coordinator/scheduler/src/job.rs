@@ -1,7 +1,7 @@
-//! A job that has not ended: its tiles, which of them are ready, and its totals.
+//! A job that has not ended: its tiles, its ready tiles, and its totals.
 //!
-//! The job has totals in addition to its tiles, and changes both together; `invariants.rs` counts them again.
-//! Nothing here knows of workers.
+//! The job stores totals in addition to its tiles, and changes both together. `invariants.rs` recomputes the
+//! totals. This module does not depend on workers.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,19 +18,19 @@ use super::progress_rate::ProgressRate;
 use super::queue::QueueKey;
 use super::spot_check::{Name, SpotCheck};
 
-/// What is there of a tile.
+/// The output of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
-    /// Nothing.
+    /// The tile has no output.
     Open,
-    /// Its result.
+    /// The tile has a result with this digest.
     Done(Digest),
-    /// The stand-in for a tile that was given up.
+    /// The tile was set aside and has a placeholder with this digest.
     SetAside(Digest),
 }
 
 impl Output {
-    /// The name of its blob.
+    /// Returns the digest of the output's blob, or `None` for an open tile.
     pub fn digest(&self) -> Option<Digest> {
         match self {
             Self::Done(d) | Self::SetAside(d) => Some(*d),
@@ -39,32 +39,32 @@ impl Output {
     }
 }
 
-/// A tile as the scheduler sees it.
+/// The scheduler's data about a tile.
 #[derive(Clone, Debug)]
 pub struct Tile {
     pub output: Output,
-    /// Its leases: at most two, the second one for a tile that takes long.
+    /// The leases of the tile: at most two, the second one for a tile that takes long.
     pub(super) leases: [Option<LeaseId>; 2],
-    /// Needed tiles that are not done.
+    /// The number of tiles that this tile needs and that are not done.
     pub(super) missing: u32,
-    /// Failures of the tile since the coordinator started, on any worker, without deaths.
+    /// The number of failures since the coordinator started, on any worker, without deaths.
     pub(super) attempts: u32,
     /// The instances of the workers that died with the tile since the coordinator started.
     pub(super) deaths: Vec<u64>,
-    /// Faults of machines and networks since the coordinator started.
+    /// The number of faults of machines and networks since the coordinator started.
     pub(super) faults: u32,
-    /// After such a fault the tile waits until then; longer each time.
+    /// The end of the delay after such a fault, in milliseconds. Each fault makes the delay longer.
     pub(super) not_before: Option<u64>,
-    /// Whether a command about its failure is with the store.
+    /// True while the store executes a command about the tile's failure.
     pub(super) judged: bool,
-    /// Who has helped with it or led a crew for it: what they have computed may be in its output.
+    /// The workers that led a crew for the tile or helped with it. Their outcomes may be part of its output.
     pub(super) contributors: BTreeSet<Name>,
-    /// Who has sent its output; empty when nobody has, or it is not known.
+    /// The worker that sent the output; empty if there is no output or the worker is unknown.
     pub(super) author: Name,
 }
 
 impl Tile {
-    /// Whether it can be leased, by its own state.
+    /// Returns true if the state of the tile permits a lease.
     pub(super) fn can_be_leased(&self) -> bool {
         self.output == Output::Open
             && self.leases == [None; 2]
@@ -74,36 +74,36 @@ impl Tile {
     }
 }
 
-/// Where a job without leases to give waits.
+/// The reason why a job waits without granting leases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Parked {
-    /// A worker times its backends.
+    /// A wait for this worker, which times its backends.
     Timing(WorkerId),
-    /// More workers may join before it is bound, until this time.
+    /// A wait for more workers before the job is bound; contains the end of the wait, in milliseconds.
     Binding(u64),
 }
 
 /// A job that has not ended.
 #[derive(Debug)]
-pub struct Job {
-    /// The record of the store.
+pub struct OpenJob {
+    /// The job's record in the store.
     pub record: JobRecord,
     /// The job with its plan.
-    pub work: Arc<PlannedJob>,
-    /// The owner and the priority.
-    pub(super) whom: QueueKey,
+    pub planned: Arc<PlannedJob>,
+    /// The user and the priority.
+    pub(super) key: QueueKey,
     /// The tiles in the order of the plan.
     pub tiles: Vec<Tile>,
-    /// The tiles that need a tile: `dependents[first[t]..first[t + 1]]`.
+    /// The tiles that depend on tile `t`: `dependents[first[t]..first[t + 1]]`.
     dependents: Vec<u32>,
     first: Vec<u32>,
-    /// Open tiles without a lease whose needed tiles are done and that wait for nothing.
+    /// The open tiles without a lease whose needed tiles are done and that are not delayed.
     pub(super) ready: BTreeSet<TileIndex>,
     /// The number of done tiles.
     pub done: u32,
-    /// The number of tiles that are set aside.
+    /// The number of tiles that were set aside.
     pub set_aside: u32,
-    /// The number of leases.
+    /// The number of leases on tiles of the job.
     pub running: u32,
     /// The number of view cells; 0 while unknown.
     pub cells_total: u64,
@@ -117,63 +117,68 @@ pub struct Job {
     pub running_cells: u64,
     /// The number of samples of leased tiles, as workers reported.
     pub running_samples: u64,
-    /// Leases that were given before this one do not count: tiles were opened again since, and what was
-    /// computed from them is as wrong as they were.
+    /// The first lease whose outputs count. Earlier leases do not count: tiles were reopened since, and
+    /// outputs that were computed from those tiles may be wrong, too.
     pub(super) counts_from: LeaseId,
-    /// Numbers of this epoch's leases, ascending, their tiles and workers.
+    /// The leases of this epoch on tiles of the job: the number of the lease, ascending, with its tile and
+    /// the signature of its worker.
     pub(super) given: Vec<(u64, TileIndex, Name)>,
-    /// Tiles that were done when the job was taken up and that nobody has computed again.
+    /// The tiles that were done when the scheduler received the job, and that no second worker has confirmed.
     pub(super) unchecked: Vec<(TileIndex, Digest)>,
-    /// Done tiles that are to be checked.
+    /// The done tiles that must be checked.
     pub(super) spots: BTreeMap<TileIndex, SpotCheck>,
     pub(super) parked: Option<Parked>,
-    /// How often timing gave no usable backend.
+    /// The number of timings that found no usable backend.
     pub(super) timing_faults: u32,
-    /// Whether a command about the job is with the store.
+    /// True while the store executes a command about the job.
     pub(super) pending: bool,
-    /// While leases of an earlier epoch may be out, no tile is leased.
+    /// True while workers may hold leases of an earlier epoch, so that no tile is leased.
     pub(super) grace: bool,
-    /// Whether somebody assembles the result.
+    /// True while the result is being assembled.
     pub(super) assembling: bool,
-    /// When to assemble the result again, after the disk was full.
+    /// The time of the next attempt to assemble the result after the disk was full, in milliseconds.
     pub(super) no_space_until: Option<u64>,
     pub(super) pace: ProgressRate,
-    /// The list that the job is in, and its ready tiles there.
+    /// The list that contains the job, and the number of ready tiles that this list counts for the job.
     pub(super) listed: Option<(List, usize)>,
 }
 
-impl Job {
-    /// Makes the job of a store's record from its plan.
+impl OpenJob {
+    /// Creates the open job from a record of the store and its plan.
     ///
     /// # Errors
-    /// The reason, when another version of the program made the specification or the plan.
+    /// The reason, if this version of the program computes another key or another number of tiles for the
+    /// job.
     pub fn new(
         record: JobRecord,
-        work: Arc<PlannedJob>,
+        planned: Arc<PlannedJob>,
         tiles: Vec<TileRecord>,
     ) -> Result<Self, String> {
-        if record.key != owned_key(work.key(), &record.owner) {
-            return Err("another version of this program began it; submit it again".to_owned());
+        if record.key != owned_key(planned.key(), &record.owner) {
+            return Err(
+                "another version of this program began the job; submit the job again".to_owned(),
+            );
         }
-        if work.plan().tiles.len() != tiles.len() {
+        if planned.plan().tiles.len() != tiles.len() {
             return Err(format!(
-                "it was planned with {} tiles and would now have {}; submit it again",
+                "the job was planned with {} tiles, and this program plans {}; submit the job again",
                 tiles.len(),
-                work.plan().tiles.len()
+                planned.plan().tiles.len()
             ));
         }
-        Ok(Self::with(record, work, tiles))
+        Ok(Self::with(record, planned, tiles))
     }
 
-    /// The job when an earlier epoch may have leased its tiles: they are leased again only after a while.
+    /// Delays the leasing of tiles after a restart, because an earlier epoch may have leased them.
     pub fn after_restart(mut self) -> Self {
         self.grace = true;
         self
     }
 
-    /// The job with this work and recorded states.
-    pub fn with(record: JobRecord, work: Arc<PlannedJob>, tiles: Vec<TileRecord>) -> Self {
-        let needs = work.plan().tiles.iter().map(|t| &t.needs);
+    /// Creates the open job with this planned job and these recorded tile states, without comparing the plan
+    /// with the record.
+    pub fn with(record: JobRecord, planned: Arc<PlannedJob>, tiles: Vec<TileRecord>) -> Self {
+        let needs = planned.plan().tiles.iter().map(|t| &t.needs);
         let mut first = vec![0u32; tiles.len() + 1];
         for n in needs.clone().flatten() {
             first[*n as usize + 1] += 1;
@@ -187,13 +192,13 @@ impl Job {
                 next[*n as usize] += 1;
             }
         }
-        let cells_total = cells_total(&work);
-        let whom = whom(&record);
+        let cells_total = cells_total(&planned);
+        let key = queue_key(&record);
         let mut job = Self {
             record,
-            whom,
+            key,
             cells_total,
-            work,
+            planned,
             tiles: Vec::with_capacity(tiles.len()),
             dependents,
             first,
@@ -260,19 +265,20 @@ impl Job {
         }
         for at in 0..job.tiles.len() {
             let done = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
-            job.tiles[at].missing =
-                job.work.plan().tiles[at].needs.iter().filter(done).count() as u32;
+            let needs = &job.planned.plan().tiles[at].needs;
+            let missing = needs.iter().filter(done).count();
+            job.tiles[at].missing = missing as u32;
         }
         job.ready = job.indices().filter(|t| job.is_ready(*t)).collect();
         job
     }
 
-    /// Its place in lists that know no users.
+    /// Returns the job's position in lists that do not depend on users.
     pub(super) fn place(&self) -> QueuePosition {
-        (self.whom.priority, self.record.id)
+        (self.key.priority, self.record.id)
     }
 
-    /// All tiles.
+    /// Returns the indices of all tiles.
     pub fn indices(&self) -> impl Iterator<Item = TileIndex> + use<> {
         (0..self.tiles.len() as u32).map(TileIndex)
     }
@@ -283,12 +289,13 @@ impl Job {
         self.millis = self.millis.saturating_add(stats.millis);
     }
 
-    /// Tiles neither done nor set aside.
+    /// Returns the number of tiles that are neither done nor set aside.
     pub fn open(&self) -> u32 {
         self.tiles.len() as u32 - self.done - self.set_aside
     }
 
-    /// What is done and what there is, in cells, or in tiles while the number of cells is not known.
+    /// Returns the finished amount and the total, in cells. If the number of cells is unknown, the unit is
+    /// tiles.
     fn done_of(&self) -> (u64, u64) {
         match self.cells_total {
             0 => (
@@ -302,13 +309,14 @@ impl Job {
         }
     }
 
-    /// Notes how far the job is.
+    /// Records the current progress of the job.
     pub(super) fn mark_pace(&mut self, now: Now) {
         let (done, _) = self.done_of();
         self.pace.mark(now.ms, done);
     }
 
-    /// Milliseconds until the job is done, at the pace of the last minutes; `None` while that is not known.
+    /// Returns the milliseconds until the job is done, at the rate of the last minutes. Returns `None` if
+    /// unknown.
     pub fn left(&self, now: Now) -> Option<u64> {
         if self.record.state.phase() != JobPhase::Running {
             return None;
@@ -316,13 +324,13 @@ impl Job {
         let (done, all) = self.done_of();
         let left = self.pace.left(now.ms, done, all - done)?;
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
-        Some(match self.work.spec().time_budget() {
+        Some(match self.planned.spec().time_budget() {
             None => left,
             Some(budget) => left.min(budget.get().saturating_sub(spent)),
         })
     }
 
-    /// Whether the job is queued or running.
+    /// Returns true if the job is queued or running.
     pub fn runs(&self) -> bool {
         matches!(
             self.record.state.phase(),
@@ -330,22 +338,23 @@ impl Job {
         )
     }
 
-    /// To whom a lease of this epoch was given on a tile, if it was.
+    /// Returns the signature of the worker that got the lease with this number in this epoch, or `None` if no
+    /// such lease on the tile was given.
     pub(super) fn given_to(&self, number: u64, tile: TileIndex) -> Option<Name> {
         let at = self
             .given
             .binary_search_by_key(&number, |(number, ..)| *number)
             .ok()?;
-        let (_, of, name) = &self.given[at];
-        (*of == tile).then(|| Name::clone(name))
+        let (_, given, name) = &self.given[at];
+        (*given == tile).then(|| Name::clone(name))
     }
 
-    /// Whether a tile can be leased, by its own state.
+    /// Returns true if the state of the tile permits a lease.
     pub(super) fn is_ready(&self, tile: TileIndex) -> bool {
         self.tiles[tile.at()].can_be_leased()
     }
 
-    /// Puts a tile among the ready ones, or takes it out.
+    /// Adds a tile to the ready tiles if it can be leased; otherwise removes it from them.
     pub(super) fn update_ready(&mut self, tile: TileIndex) {
         if self.is_ready(tile) {
             self.ready.insert(tile);
@@ -354,7 +363,7 @@ impl Job {
         }
     }
 
-    /// Notes the result of a tile; returns whether that is news.
+    /// Records the result of a tile. Returns true if the tile was not done before.
     pub(super) fn complete(&mut self, tile: TileIndex, digest: Digest, stats: &TileStats) -> bool {
         match self.tiles[tile.at()].output {
             Output::Done(_) => return false,
@@ -374,7 +383,7 @@ impl Job {
         true
     }
 
-    /// Notes the stand-in of an open tile.
+    /// Records the placeholder of an open tile.
     pub(super) fn give_up(&mut self, tile: TileIndex, digest: Digest) {
         let t = &mut self.tiles[tile.at()];
         t.judged = false;
@@ -385,28 +394,31 @@ impl Job {
         self.update_ready(tile);
     }
 
-    /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by
-    /// the open tiles and multiplied by the workers that share them. Never zero, however late it is.
+    /// Returns the time limit in milliseconds for a tile granted now, or `None` without a time budget.
+    ///
+    /// The limit is nine tenths of the remaining time, divided by the number of open tiles and multiplied by
+    /// the number of workers that share them. The limit is at least the budget divided by eight times the
+    /// number of tiles, even after the budget has passed.
     pub(super) fn millis_for_a_tile(&self, workers: u64, now: Now) -> Option<u64> {
-        let budget = self.work.spec().time_budget()?.get();
+        let budget = self.planned.spec().time_budget()?.get();
         let open = u64::from(self.open().max(1));
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
-        // A tenth is kept for assembling the result.
+        // A tenth of the time is reserved for assembling the result.
         let share =
             (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
         Some(share.max(budget / (8 * self.tiles.len().max(1) as u64)))
     }
 
-    /// Digests of the packs that `tile` needs, in the plan's order.
+    /// Returns the digests of the packs that `tile` needs, in the plan's order.
     pub(super) fn packs(&self, tile: TileIndex) -> Vec<Option<Digest>> {
-        let needs = &self.work.plan().tiles[tile.at()].needs;
+        let needs = &self.planned.plan().tiles[tile.at()].needs;
         needs
             .iter()
             .map(|n| self.tiles[*n as usize].output.digest())
             .collect()
     }
 
-    /// These tiles and all that were computed from them.
+    /// Returns these tiles and all tiles that were computed from them.
     pub fn with_dependents(&self, tiles: BTreeSet<TileIndex>) -> BTreeSet<TileIndex> {
         let mut all = tiles;
         let mut next: Vec<TileIndex> = all.iter().copied().collect();
@@ -421,7 +433,7 @@ impl Job {
         all
     }
 
-    /// `tile` and all open tiles that cannot be computed without it, those that need others first.
+    /// Returns `tile` and all open tiles that depend on it, dependent tiles first.
     pub(super) fn lost_with(&self, tile: TileIndex) -> Vec<TileIndex> {
         let mut lost = BTreeSet::from([tile]);
         let mut next = vec![tile];
@@ -440,16 +452,16 @@ impl Job {
     }
 }
 
-/// The user and priority of a record.
-pub(super) fn whom(record: &JobRecord) -> QueueKey {
+/// Returns the user and the priority of a record.
+pub(super) fn queue_key(record: &JobRecord) -> QueueKey {
     QueueKey {
         user: record.user.as_str().into(),
         priority: Reverse(record.priority),
     }
 }
 
-/// Counts the view cells or receivers of a job; 0 for an adaptive division, whose cells are not known before
-/// it is sampled.
+/// Counts the view cells or receivers of a job. Returns 0 for an adaptive division, whose cells are unknown
+/// before they are sampled.
 pub fn cells_total(job: &PlannedJob) -> u64 {
     if let Task::Visibility(task) = &job.spec().task
         && let Division::Adaptive { .. } = task.division()

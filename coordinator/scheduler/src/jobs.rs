@@ -1,4 +1,5 @@
-//! Jobs come, change and end; the grace after a restart; what the store refuses.
+//! Transitions of jobs: added, changed and ended jobs, the grace after a restart, and rejected store
+//! commands.
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -8,32 +9,33 @@ use sightline_records::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex, Wo
 use sightline_records::{JobPhase, JobRecord, TileStats};
 
 use super::event::{Effect, Note, StoreCommand};
-use super::job::{Job, Output};
+use super::job::{OpenJob, Output};
 use super::messages::Now;
 use super::queue::User;
 use super::state::{SPACE_EVERY, Scheduler, Timer};
 
-/// How long after a restart nobody else gets the tiles of jobs that ran: every worker that is still there
-/// comes back within this time, because an attempt to connect takes a second at most, and so does the wait
-/// before the next one.
+/// Grace after a restart, in milliseconds. During the grace, tiles of jobs that ran are not leased to other
+/// workers. Every living worker returns within this time, because an attempt to connect and the wait before
+/// the next attempt each take at most one second.
 pub(super) const GRACE: u64 = 2500;
 
 impl Scheduler {
     /// Adds a job with the recorded states of its tiles.
-    pub(super) fn take_up(&mut self, mut job: Job, now: Now) {
+    pub(super) fn take_up(&mut self, mut job: OpenJob, now: Now) {
         let id = job.record.id;
         if job.grace {
             let until = now.ms + GRACE;
-            self.graces.insert(id, until);
+            self.leases.graces.insert(id, until);
             self.set_timer(until, Timer::Grace(id));
         }
-        // A job that ended and was taken up again is still in the hands of the same workers.
-        job.grace = self.graces.contains_key(&id) && self.only.is_none();
+        // A job that is added again during its grace keeps the grace: workers may still hold its earlier
+        // leases.
+        job.grace = self.leases.graces.contains_key(&id) && self.only.is_none();
         if self.jobs.contains_key(&id) {
             self.drop_job(id);
         }
         job.counts_from = self.first_that_counts(&job);
-        self.open_account(&job.whom.user);
+        self.open_account(&job.key.user);
         let unchecked = std::mem::take(&mut job.unchecked);
         self.jobs.insert(id, job);
         for (tile, digest) in unchecked {
@@ -45,8 +47,10 @@ impl Scheduler {
         self.tell_watchers(id);
     }
 
-    /// Sets open tiles aside that need a tile which was set aside. A late output can replace the stand-in of
-    /// such a tile, and an invalidation then opens it again without the tile that it needs.
+    /// Sets aside the open tiles that need a tile that was set aside.
+    ///
+    /// A late output can replace the placeholder of a dependent tile. An invalidation then reopens the
+    /// dependent tile while the needed tile is still set aside.
     fn set_orphans_aside(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -66,26 +70,28 @@ impl Scheduler {
             job.tiles[tile.at()].judged = true;
             job.update_ready(*tile);
         }
-        let (work, reason) = (
-            Arc::clone(&job.work),
-            "a tile that it needs was set aside".to_owned(),
+        let (planned, reason) = (
+            Arc::clone(&job.planned),
+            "a tile that this tile needs was set aside".to_owned(),
         );
         self.effects.push(Effect::Run(StoreCommand::SetAside {
             job: id,
-            work,
+            planned,
             tiles,
             reason,
         }));
     }
 
-    /// The first lease that counts of a job that is taken up: one that is still to be given where its tiles
-    /// were opened again in this epoch, else one of the epoch after that.
-    fn first_that_counts(&self, job: &Job) -> LeaseId {
+    /// Returns the first lease that counts for a job that is being added.
+    ///
+    /// If the job's tiles were reopened in this epoch, it is the next lease. If they were reopened in an
+    /// earlier epoch, it is the first lease of the following epoch.
+    fn first_that_counts(&self, job: &OpenJob) -> LeaseId {
         let epoch = self.settings.epoch;
         match job.record.reopened_epoch {
             Some(reopened) if reopened >= epoch.0 => LeaseId {
                 epoch,
-                number: self.next_lease,
+                number: self.leases.count + 1,
             },
             Some(reopened) => LeaseId {
                 epoch: Epoch(reopened + 1),
@@ -95,8 +101,8 @@ impl Scheduler {
         }
     }
 
-    /// From now on leases only tiles of one job. Its earlier workers were threads of a process that is gone,
-    /// so nothing is waited for.
+    /// Restricts leases to the tiles of one job. Ends the job's grace, because its earlier workers were
+    /// threads of a process that has ended.
     pub(super) fn restrict(&mut self, only: JobId) {
         self.only = Some(only);
         let ids = self.job_ids();
@@ -104,9 +110,9 @@ impl Scheduler {
         self.end_grace(only);
     }
 
-    /// After the grace the tiles that no worker has claimed are free.
+    /// Ends the grace of a job: tiles that no worker has claimed can be leased.
     pub(super) fn end_grace(&mut self, id: JobId) {
-        self.graces.remove(&id);
+        self.leases.graces.remove(&id);
         let Some(job) = self.jobs.get_mut(&id).filter(|j| j.grace) else {
             return;
         };
@@ -116,7 +122,7 @@ impl Scheduler {
         self.list_job(id);
     }
 
-    /// Takes in a job's record as the store has it now.
+    /// Updates a job to its current record in the store.
     pub(super) fn job_changed(&mut self, record: JobRecord) {
         let id = record.id;
         let Some(job) = self.jobs.get(&id) else {
@@ -124,14 +130,14 @@ impl Scheduler {
         };
         let phase = record.state.phase();
         let priority = Reverse(record.priority);
-        if job.whom.priority != priority {
+        if job.key.priority != priority {
             self.prioritize(id, priority);
         }
         let Some(job) = self.jobs.get(&id) else {
             return;
         };
         if job.record.state.phase() == JobPhase::Paused && phase != JobPhase::Paused {
-            let user = User::clone(&job.whom.user);
+            let user = User::clone(&job.key.user);
             self.catch_up(&user);
         }
         let Some(job) = self.jobs.get_mut(&id) else {
@@ -140,8 +146,9 @@ impl Scheduler {
         job.record = record;
         job.pending = false;
         if phase.ended() {
-            // A job that is taken up again keeps them: their commands may still be under way.
-            self.recording.retain(|(job, ..), _| *job != id);
+            // Only an ended job loses these entries. For a job that is added again, the store may still
+            // execute the commands.
+            self.deaths.recording.retain(|(job, ..), _| *job != id);
             self.drop_job(id);
             return;
         }
@@ -154,21 +161,27 @@ impl Scheduler {
         self.tell_watchers(id);
     }
 
-    /// A job is paused: workers finish the tiles that they have begun, without help, and give others back.
+    /// Pauses a job: workers finish the tiles that they have begun, without helpers, and return the other
+    /// tiles.
     fn rest(&mut self, id: JobId) {
         let Some(job) = self.jobs.get(&id) else {
             return;
         };
         let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
         for lease in leases {
-            match self.leases.get(&lease).is_some_and(|l| l.begun.is_some()) {
+            match self
+                .leases
+                .table
+                .get(&lease)
+                .is_some_and(|l| l.begun.is_some())
+            {
                 true => self.crew_closed(lease),
                 false => self.end_lease(lease, true),
             }
         }
     }
 
-    /// Takes the tiles of a paused job back from their workers.
+    /// Revokes the leases of a paused job.
     pub(super) fn stop_now(&mut self, id: JobId) {
         if self
             .jobs
@@ -180,7 +193,7 @@ impl Scheduler {
         }
     }
 
-    /// A job gets another priority: it and what it has move to other places of the lists.
+    /// Changes the priority of a job and reorders its queue entries.
     fn prioritize(&mut self, id: JobId, priority: Reverse<i32>) {
         self.unlist_job(id);
         let Some(job) = self.jobs.get(&id) else {
@@ -189,10 +202,11 @@ impl Scheduler {
         let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
         leases.iter().for_each(|lease| self.stop_waiting(*lease));
         if let Some(job) = self.jobs.get_mut(&id) {
-            job.whom.priority = priority;
+            job.key.priority = priority;
         }
         let held = |id: &LeaseId| {
             self.leases
+                .table
                 .get(id)
                 .filter(|l| l.gone.is_none())
                 .map(|l| l.worker)
@@ -204,9 +218,9 @@ impl Scheduler {
             .for_each(|lease| self.move_crew(lease, priority));
     }
 
-    /// The store has an output of a tile.
+    /// Records an output that the store has committed.
     pub(super) fn committed(&mut self, lease: &Lease, digest: Digest, stats: &TileStats, now: Now) {
-        let worker = self.leases.get(&lease.id).map(|l| l.worker);
+        let worker = self.leases.table.get(&lease.id).map(|l| l.worker);
         let Some(job) = self.jobs.get_mut(&lease.job) else {
             return;
         };
@@ -215,7 +229,7 @@ impl Scheduler {
         }
         if job.complete(lease.tile, digest, stats) {
             job.tiles[lease.tile.at()].author = stats.worker.as_str().into();
-            if let Some(worker) = worker.and_then(|id| self.workers.get_mut(&id)) {
+            if let Some(worker) = worker.and_then(|id| self.roster.workers.get_mut(&id)) {
                 worker.done.add(stats);
             }
             self.draw(lease.job, lease.tile, digest);
@@ -223,7 +237,7 @@ impl Scheduler {
         let Some(job) = self.jobs.get(&lease.job) else {
             return;
         };
-        // The others that work on it need not go on; its own worker knows.
+        // Other workers need not continue with the tile; the sender of the output needs no command to stop.
         for id in job.tiles[lease.tile.at()].leases.into_iter().flatten() {
             self.end_lease(id, id != lease.id);
         }
@@ -235,7 +249,7 @@ impl Scheduler {
         self.tell_watchers(lease.job);
     }
 
-    /// A tile has a stand-in.
+    /// Records the placeholder of a tile.
     pub(super) fn tile_set_aside(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -252,7 +266,7 @@ impl Scheduler {
         self.tell_watchers(id);
     }
 
-    /// The result of a job cannot be written for now, so there is no space for further outputs either.
+    /// Delays the assembly of a result and pauses leasing, because the disk has no space for further outputs.
     pub(super) fn assembly_waits(&mut self, id: JobId, now: Now) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.assembling = false;
@@ -262,15 +276,15 @@ impl Scheduler {
         self.pause_leasing(now);
     }
 
-    /// An output waits for space. Its tile is finished, so it is not stuck, however long that takes.
+    /// Records that an output waits for space. Its tile is finished, so it does not count as stuck.
     pub(super) fn disk_full(&mut self, lease: &Lease, now: Now) {
-        if let Some(l) = self.leases.get_mut(&lease.id) {
+        if let Some(l) = self.leases.table.get_mut(&lease.id) {
             l.moved = now.ms;
         }
         self.pause_leasing(now);
     }
 
-    /// The store refused a command. Whatever waited for it is as before, and no tiles are leased for a while.
+    /// Handles a command that the store rejected: restores the previous state and pauses leasing.
     pub(super) fn refused(&mut self, command: StoreCommand, now: Now) {
         let id = match command {
             StoreCommand::Bind(id, _) | StoreCommand::Start(id) | StoreCommand::FailJob(id, _) => {
@@ -289,16 +303,16 @@ impl Scheduler {
                 worker,
                 ..
             } => {
-                self.recording.remove(&(id, tile, worker));
+                self.deaths.recording.remove(&(id, tile, worker));
                 self.unjudge(id, tile, now);
                 id
             }
-            // The tile keeps a failure too many.
+            // The store keeps one failure too many for the tile.
             StoreCommand::CancelDeath { job: id, .. } => id,
-            // That nobody knows of the agreement makes later suspicions wider, and nothing wrong.
+            // Without the recorded confirmation, a later quarantine reopens more tiles than necessary.
             StoreCommand::Confirm { job: id, .. } => id,
             StoreCommand::Quarantine { .. } => {
-                self.unsaid.push(command);
+                self.trust.refused.push(command);
                 self.pause_leasing(now);
                 return;
             }
@@ -313,7 +327,7 @@ impl Scheduler {
         self.list_job(id);
     }
 
-    /// Ends the wait for a verdict on a tile that is still open.
+    /// Ends the wait for a decision on a tile that is still open.
     fn unjudge(&mut self, id: JobId, tile: TileIndex, now: Now) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -323,14 +337,14 @@ impl Scheduler {
         };
         if std::mem::take(&mut t.judged) && t.output == Output::Open {
             if t.missing > 0 {
-                // Nothing but another command ends its wait, which becomes longer each time.
+                // Only another command ends this tile's wait, which becomes longer each time.
                 t.faults = t.faults.saturating_add(1);
             }
             self.back_off(id, tile, now);
         }
     }
 
-    /// Sets a tile aside that waits for nothing although a tile that it needs was set aside.
+    /// Sets aside an open tile without a delay if a tile that it needs was set aside.
     pub(super) fn set_orphan_aside(&mut self, id: JobId, tile: TileIndex) {
         let waits = |t: &super::job::Tile| t.missing == 0 || t.judged || t.not_before.is_some();
         let tile = self.jobs.get(&id).and_then(|job| job.tiles.get(tile.at()));
@@ -339,7 +353,7 @@ impl Scheduler {
         }
     }
 
-    /// Asks the store to end a job.
+    /// Requests that the store ends a job as failed, for this reason.
     pub(super) fn fail_job(&mut self, id: JobId, reason: String) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.pending = true;

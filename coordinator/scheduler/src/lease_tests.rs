@@ -1,19 +1,21 @@
-//! Which leases count, what a restart leaves to earlier workers, and what failures lead to.
+//! Tests of the validity of leases, of claims after a restart, and of the consequences of failures.
 
+use sightline_records::TileStats;
 use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
 use sightline_store::Queries as _;
 
 use super::tests::two_tiles;
 use super::tests::with_grace;
+use super::worker_totals::WorkerTotals;
 use super::*;
 
 #[test]
-fn only_a_lease_that_was_given_counts() {
+fn only_given_leases_count() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
     let lease = b.grants(one)[0];
-    assert!(b.scheduler.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts());
     let other = |tile, number| {
         let id = LeaseId {
             epoch: Epoch(1),
@@ -25,7 +27,7 @@ fn only_a_lease_that_was_given_counts() {
             id,
         }
     };
-    let why = |l: Lease| b.scheduler.admit(&l).map(|a| a.counts);
+    let why = |l: Lease| b.scheduler.admit(&l).map(|a| a.counts());
     assert_eq!(why(other(1, lease.id.number)), Ok(false), "another tile");
     assert_eq!(
         why(other(0, lease.id.number + 1)),
@@ -54,15 +56,15 @@ fn only_a_lease_that_was_given_counts() {
             .kept
             .is_empty()
     );
-    // A late one counts.
+    // A late output counts.
     b.leave(one);
     b.wait(5);
     assert_eq!(b.holders(), [None, None]);
-    assert!(b.scheduler.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts());
 }
 
 #[test]
-fn after_a_restart_tiles_are_leased_when_their_workers_had_time_to_come_back() {
+fn restart_delays_leases_until_workers_can_return() {
     let mut b = with_grace(true);
     let lease = |number| {
         let id = LeaseId {
@@ -101,7 +103,7 @@ fn after_a_restart_tiles_are_leased_when_their_workers_had_time_to_come_back() {
 }
 
 #[test]
-fn a_bake_in_one_process_waits_for_nobody() {
+fn bake_in_one_process_has_no_grace() {
     let mut b = with_grace(true);
     b.step(Event::Restricted(JobId(1)));
     let one = b.join("a");
@@ -110,7 +112,7 @@ fn a_bake_in_one_process_waits_for_nobody() {
 }
 
 #[test]
-fn faults_wait_longer_each_time_and_count_from_the_twelfth_on() {
+fn faults_delay_tile_longer_and_count_from_twelfth_on() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 2);
@@ -145,7 +147,7 @@ fn faults_wait_longer_each_time_and_count_from_the_twelfth_on() {
 }
 
 #[test]
-fn a_tile_that_fails_on_three_workers_is_set_aside() {
+fn tile_that_fails_on_three_workers_is_set_aside() {
     let mut b = two_tiles();
     for name in ["a", "b", "c"] {
         let worker = b.join(name);
@@ -161,7 +163,7 @@ fn a_tile_that_fails_on_three_workers_is_set_aside() {
 }
 
 #[test]
-fn a_worker_that_fell_silent_gets_no_tile_before_it_asks_again() {
+fn silent_worker_gets_no_tile_before_it_requests_again() {
     let mut b = two_tiles();
     let (stands, goes) = (b.join("stands"), b.join("goes"));
     b.want(stands, 2);
@@ -175,10 +177,98 @@ fn a_worker_that_fell_silent_gets_no_tile_before_it_asks_again() {
         }));
         b.wait(1);
     }
-    // The silent worker is the only one without a tile, and wants one.
+    // The silent worker is the only worker without a tile, and requests one.
     assert_eq!(b.grants(stands), [lost]);
-    assert_eq!(b.scheduler.unable(JobId(1))[0].names, ["stands"]);
+    assert_eq!(b.scheduler.ineligible(JobId(1))[0].names, ["stands"]);
     b.want(stands, 1);
     assert_eq!(b.grants(stands).last().unwrap().tile, lost.tile);
-    assert_eq!(b.scheduler.unable(JobId(1)), []);
+    assert_eq!(b.scheduler.ineligible(JobId(1)), []);
+}
+
+#[test]
+fn lease_of_connected_worker_is_not_claimed_by_another() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    assert!(b.try_join("b", 0, vec![lease]).unwrap().kept.is_empty());
+    assert!(b.holders().contains(&Some(one)));
+}
+
+#[test]
+fn tile_in_preparation_has_threefold_limit() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    let prepare = |b: &mut super::tests::Bench, seconds: u64| {
+        for _ in 0..seconds / 5 {
+            b.step(Event::Progressed(Progress {
+                lease,
+                cells: 0,
+                samples: 0,
+            }));
+            b.wait(5);
+        }
+    };
+    prepare(&mut b, 1800);
+    assert!(b.scheduler.is_leased(&lease));
+    prepare(&mut b, 5);
+    assert!(!b.scheduler.is_leased(&lease));
+}
+
+#[test]
+fn earlier_clock_reading_does_not_shorten_lease() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    let mut report = |ms: u64, cells: u64| {
+        b.ms = ms;
+        b.step(Event::Progressed(Progress {
+            lease,
+            cells,
+            samples: 1,
+        }));
+    };
+    report(9000, 1);
+    // Another thread has read its clock earlier, and gets the lock later.
+    report(0, 2);
+    b.ms = 12_000;
+    b.step(Event::Tick);
+    assert!(b.scheduler.is_leased(&lease));
+}
+
+#[test]
+fn roster_has_name_and_totals_of_worker() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    assert_eq!(b.scheduler.name_of(one), Some("a"));
+    for n in 0..2 {
+        b.want(one, 1);
+        let lease = b.grants(one)[n];
+        let stats = TileStats {
+            worker: "a".to_owned(),
+            cells: 3,
+            samples: 5,
+            millis: 7,
+            ..TileStats::default()
+        };
+        b.step(Event::Committed {
+            lease,
+            digest: [1; 32],
+            stats,
+        });
+    }
+    let now = Now {
+        ms: b.ms,
+        unix_ms: b.ms,
+    };
+    let WorkerTotals {
+        tiles,
+        cells,
+        samples,
+        millis,
+    } = b.scheduler.roster(now)[0].done;
+    assert_eq!([tiles, cells, samples, millis], [2, 6, 10, 14]);
 }

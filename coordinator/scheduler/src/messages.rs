@@ -1,4 +1,4 @@
-//! The messages between the scheduler and the workers, apart from their wire format.
+//! The messages between the scheduler and the workers, independent of their wire format.
 
 use std::sync::Arc;
 
@@ -8,28 +8,28 @@ use sightline_records::ids::{Digest, Epoch, JobId, Lease, WorkerId};
 /// A point in time, as plain numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Now {
-    /// Milliseconds of monotonic time, from any origin.
+    /// The monotonic time in milliseconds, from any origin.
     pub ms: u64,
-    /// Milliseconds since 1970, for time budgets. May jump.
+    /// The wall-clock time in milliseconds since 1970, for time budgets. May jump.
     pub unix_ms: u64,
 }
 
 /// A worker's first message.
 #[derive(Clone, Debug)]
 pub struct Introduction {
-    /// Its name, for people; unique among the connected workers.
+    /// The display name of the worker, unique among the connected workers.
     pub name: String,
-    /// The name together with the worker's identity, to which authorship and quarantine belong.
+    /// The signature: the name with the worker's identity. Authorship and quarantine refer to it.
     pub signature: String,
-    /// The version of its program, for people.
+    /// The version of the worker's program, for display.
     pub version: String,
-    /// A random number drawn when the worker started; 0 when it sends none.
+    /// A random number generated when the worker started; 0 if the worker sends none.
     pub instance: u64,
-    /// The numerics profiles of its backends.
+    /// The numerics profiles of the worker's backends.
     pub profiles: Vec<String>,
-    /// Leases that it holds from an earlier stream.
+    /// The leases that the worker holds from an earlier stream.
     pub held: Vec<Lease>,
-    /// Whether it helps the leaders of crews.
+    /// True if the worker can help the leaders of crews.
     pub helps: bool,
 }
 
@@ -40,26 +40,26 @@ pub struct Joined {
     pub worker: WorkerId,
     /// The coordinator's epoch.
     pub epoch: Epoch,
-    /// Those of the held leases that are still the worker's.
+    /// The claimed leases that still belong to the worker.
     pub kept: Vec<Lease>,
 }
 
-/// Another worker of the same name is connected.
+/// An error: another worker with the same name is connected.
 #[derive(Clone, Debug, thiserror::Error)]
-#[error("a worker named {name:?} is connected already; give this one another --name")]
+#[error("a worker named {name:?} is already connected; give this worker another --name")]
 pub struct NameTaken {
-    /// The name.
+    /// The name of both workers.
     pub name: String,
 }
 
-/// How far a leased tile is. Renews the lease.
+/// The progress of a leased tile. The report renews the lease.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// The tile's lease.
+    /// The lease of the tile.
     pub lease: Lease,
-    /// Finished view cells.
+    /// The number of finished view cells.
     pub cells: u64,
-    /// Samples taken.
+    /// The number of samples.
     pub samples: u64,
 }
 
@@ -68,7 +68,7 @@ pub struct Progress {
 pub struct ProfileTime {
     /// The backend's numerics profile.
     pub profile: String,
-    /// Seconds for one visibility cube.
+    /// The time for one visibility cube, in seconds.
     pub seconds_per_cube: f64,
 }
 
@@ -77,42 +77,41 @@ pub struct ProfileTime {
 pub enum WorkerCommand {
     /// Work on a tile.
     Grant(Box<Grant>),
-    /// Stop working on a tile, or helping its leader.
+    /// Stop computing a tile, or stop helping its leader.
     Revoke(Lease),
     /// Help the leader of a tile.
     Help(Box<Help>),
     /// Measure the backends on a job's scene.
     Time {
-        /// The job.
+        /// The job whose scene is used.
         job: JobId,
         /// The planned job.
-        work: Arc<PlannedJob>,
+        planned: Arc<PlannedJob>,
     },
 }
 
-/// A tile given to a worker.
+/// A tile that is granted to a worker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grant {
     /// The tile and its lease.
     pub lease: Lease,
     /// The planned job.
-    pub work: Arc<PlannedJob>,
+    pub planned: Arc<PlannedJob>,
     /// The numerics profile that the tile must be computed with.
     pub profile: String,
-    /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is
-    /// not there.
+    /// The digests of the needed packs, in the plan's order of needed tiles; `None` for a missing pack.
     pub packs: Vec<Option<Digest>>,
-    /// Time for the tile in milliseconds, when the job has a time budget.
+    /// The time limit for the tile in milliseconds; `None` without a time budget.
     pub millis: Option<u64>,
 }
 
-/// A leader who can use a helper.
+/// A leader that can use a helper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Help {
-    /// The leader's lease.
+    /// The lease of the leader.
     pub lease: Lease,
     /// The planned job.
-    pub work: Arc<PlannedJob>,
+    pub planned: Arc<PlannedJob>,
     /// The numerics profile of the job.
     pub profile: String,
 }

@@ -1,7 +1,7 @@
-//! The lists from which tiles and workers are matched: one pool for each numerics profile, and the jobs that
-//! have no profile yet.
+//! The lists that match tiles with workers. There is one pool for each numerics profile, and a list of jobs
+//! without a profile.
 //!
-//! Each list holds numbers alone and is changed together with the job or worker that it is about.
+//! Each list contains only numbers, and changes together with the job or the worker that an entry refers to.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,44 +12,47 @@ use sightline_records::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
 use super::queue::{Queue, ServiceOrder};
 
-/// The place of a job in lists that know no users: higher priorities first, then older jobs.
+/// The position of a job in lists that do not depend on users: higher priorities first, then older jobs.
 pub(super) type QueuePosition = (Reverse<i32>, JobId);
 
 /// The name of a numerics profile.
 pub(super) type Profile = Arc<str>;
 
-/// The list that a job with ready tiles is in.
+/// The list that contains a job with ready tiles.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum List {
-    /// The pool of its profile.
+    /// The pool of the job's profile.
     Bound(Profile),
-    /// Those without a profile, by what they ask for.
+    /// The list of the jobs without a profile that have this tracer choice.
     Unbound(Choice),
 }
 
-/// The index of the choice of a tracer, or of none.
+/// The index of a job's tracer choice; the last index is for jobs without a choice.
 pub(super) type Choice = usize;
 
-/// Number of choices.
-pub(super) const CHOICES: usize = 4;
+/// The number of choices.
+pub(super) const CHOICES: usize = 5;
 
-/// The index of a choice.
+/// Returns the index of a tracer choice.
 pub(super) fn index(choice: Option<TracerChoice>) -> Choice {
     match choice {
         Some(TracerChoice::Cpu) => 0,
         Some(TracerChoice::Gpu) => 1,
         Some(TracerChoice::Auto) => 2,
-        None => 3,
+        Some(TracerChoice::Embree) => 3,
+        None => 4,
     }
 }
 
-/// Helpers of all crews together, about, from which on each crew gets fewer.
+/// The number of helpers that all crews of a profile share. With more crews, each crew gets fewer helpers.
 const HELPERS: usize = 256;
-/// Most helpers of a crew, when there are many crews and when there are few.
+/// Maximum number of helpers per crew: with many crews, and with few crews.
 const MOST_HELPERS: [usize; 2] = [7, 31];
 
-/// Most helpers of each of a number of crews. Every outcome goes to every helper: with more of them the
-/// coordinator's network sets the pace, and all crews take longer (docs/experiments/crews.md).
+/// Returns the maximum number of helpers per crew for a number of crews.
+///
+/// Every outcome is sent to every helper. With more helpers the coordinator's network becomes the bottleneck,
+/// and all crews take longer (docs/experiments/crews.md).
 pub(super) fn most_helpers(crews: usize) -> usize {
     let [least, most] = MOST_HELPERS;
     (HELPERS / crews.max(1)).clamp(least, most)
@@ -58,32 +61,33 @@ pub(super) fn most_helpers(crews: usize) -> usize {
 /// The workers and jobs of one profile.
 #[derive(Debug, Default)]
 pub(super) struct Pool {
-    /// Connected workers.
+    /// The number of connected workers that support the profile.
     pub(super) able: u64,
-    /// Those of them for which it is the only profile that `auto` considers.
+    /// The number of these workers for which this is the only profile that `auto` considers.
     pub(super) alone: u64,
-    /// Workers without a lease that do not drain, whether or not they want tiles.
+    /// The workers without a lease that do not drain, whether or not they request tiles.
     pub(super) idle: BTreeSet<WorkerId>,
-    /// Workers that want tiles: those without a lease, and those with one.
+    /// The workers that request tiles: first the workers without a lease, then the workers with one.
     pub(super) hungry: [BTreeSet<WorkerId>; 2],
-    /// Jobs with ready tiles.
+    /// The jobs with ready tiles.
     pub(super) jobs: Queue<JobId>,
-    /// Ready tiles of these jobs.
+    /// The number of ready tiles of these jobs.
     pub(super) ready: usize,
-    /// Leased tiles that have not begun because their worker is busy with another one.
+    /// The leased tiles that have not begun because their worker computes another tile.
     pub(super) waiting: BTreeSet<(QueuePosition, TileIndex, LeaseId)>,
-    /// Leases that have begun, by the time when they did.
+    /// The leases that have begun, by their time of begin.
     pub(super) begun: BTreeSet<(u64, LeaseId)>,
-    /// Workers that can be sent to a crew.
+    /// The workers that can be sent to a crew.
     pub(super) helpers: BTreeSet<WorkerId>,
-    /// Crews, by the number of their helpers for each user.
+    /// The crews, ordered by their number of helpers for each user.
     pub(super) crews: Queue<(usize, LeaseId)>,
-    /// Number of these.
+    /// The number of crews.
     pub(super) crew_count: usize,
 }
 
 impl Pool {
-    /// The crew that is the next to get a helper, with the turn of its user, unless all have their most.
+    /// Returns the next crew to get a helper, with its user's turn. Returns `None` if all crews have the
+    /// maximum number of helpers.
     pub(super) fn crew_with_room(&self) -> Option<(&ServiceOrder, (usize, LeaseId))> {
         let most = most_helpers(self.crew_count);
         self.crews
@@ -97,29 +101,29 @@ impl Pool {
     }
 }
 
-/// All lists.
+/// The pools of all profiles, and the lists for jobs without a profile.
 #[derive(Debug, Default)]
 pub(super) struct Pools {
-    pub(super) of: BTreeMap<Profile, Pool>,
-    /// Jobs without a profile that have ready tiles, by choice.
+    pub(super) by_profile: BTreeMap<Profile, Pool>,
+    /// The jobs without a profile that have ready tiles, by tracer choice.
     pub(super) unbound: [BTreeSet<QueuePosition>; CHOICES],
-    /// Workers that want tiles, by the choices that they can serve.
+    /// The workers that request tiles, by the tracer choices that they can serve.
     pub(super) hungry: [BTreeSet<WorkerId>; CHOICES],
-    /// The pools that changed since they were last looked at.
+    /// The profiles whose pools have changed since the scheduler last granted tiles of them.
     pub(super) dirty: BTreeSet<Profile>,
 }
 
 impl Pools {
-    /// The pool of a profile, to be changed.
+    /// Returns the pool of a profile for a change, and marks it as changed.
     pub(super) fn at(&mut self, profile: &Profile) -> &mut Pool {
         self.dirty.insert(Arc::clone(profile));
-        self.of.entry(Arc::clone(profile)).or_default()
+        self.by_profile.entry(Arc::clone(profile)).or_default()
     }
 
-    /// Removes the pool of a profile that nobody uses.
+    /// Removes the pool of a profile if it is empty.
     pub(super) fn tidy(&mut self, profile: &Profile) {
-        if self.of.get(profile).is_some_and(Pool::is_empty) {
-            self.of.remove(profile);
+        if self.by_profile.get(profile).is_some_and(Pool::is_empty) {
+            self.by_profile.remove(profile);
             self.dirty.remove(profile);
         }
     }

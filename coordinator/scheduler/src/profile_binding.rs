@@ -1,4 +1,4 @@
-//! Binding a job to the numerics profile that its tiles are computed with.
+//! Binding a job to the numerics profile with which its tiles are computed.
 
 use sightline_model::{NO_PROFILE, TracerChoice};
 use sightline_records::ids::{JobId, WorkerId};
@@ -10,19 +10,23 @@ use super::messages::{Now, ProfileTime, WorkerCommand};
 use super::profile_choice::{Binding, CLEARLY, fastest, profile_for};
 use super::state::{Scheduler, Timer};
 
-/// How long a worker may take to time its backends before another worker times its own.
+/// Time limit for a worker to time its backends before another worker times its own, in milliseconds.
 const TIMING_LIMIT: u64 = 300_000;
-/// How long a job waits for more workers when those that are there could bind it to different profiles.
+/// The time for which a job waits for more workers before it is bound, in milliseconds. A job waits if the
+/// connected workers could bind it to different profiles.
 const MORE_WORKERS: u64 = 1000;
 
 impl Scheduler {
-    /// Takes one step for the first job without a profile that a worker waits for; returns whether it did.
+    /// Takes one step towards a numerics profile for the first unbound job that an idle worker could compute.
+    ///
+    /// The step binds the job, starts a measurement of the worker's backends, or lets the job wait for more
+    /// workers. Returns false if no such job exists.
     pub(super) fn bind_one(&mut self, now: Now) -> bool {
-        for choice in 0..self.pools.unbound.len() {
-            let Some(&worker) = self.pools.hungry[choice].first() else {
+        for choice in 0..self.queues.pools.unbound.len() {
+            let Some(&worker) = self.queues.pools.hungry[choice].first() else {
                 continue;
             };
-            let Some(&(_, id)) = self.pools.unbound[choice].first() else {
+            let Some(&(_, id)) = self.queues.pools.unbound[choice].first() else {
                 continue;
             };
             self.bind(id, worker, now);
@@ -31,12 +35,13 @@ impl Scheduler {
         false
     }
 
-    /// Binds a job, or parks it.
+    /// Binds a job if only one profile is possible. Otherwise starts a measurement of the worker's backends,
+    /// or lets the job wait for more workers.
     fn bind(&mut self, id: JobId, worker: WorkerId, now: Now) {
-        let Some(choice) = self.jobs.get(&id).map(|j| j.work.spec().tracer()) else {
+        let Some(choice) = self.jobs.get(&id).map(|j| j.planned.spec().tracer()) else {
             return;
         };
-        let Some(w) = self.workers.get(&worker) else {
+        let Some(w) = self.roster.workers.get(&worker) else {
             return;
         };
         let profiles: Vec<String> = w.profiles.iter().map(|p| p.to_string()).collect();
@@ -53,15 +58,17 @@ impl Scheduler {
                 let Some(job) = self.jobs.get(&id) else {
                     return;
                 };
-                let work = std::sync::Arc::clone(&job.work);
-                self.effects
-                    .push(Effect::Tell(worker, WorkerCommand::Time { job: id, work }));
-                if let Some(w) = self.workers.get_mut(&worker) {
+                let planned = std::sync::Arc::clone(&job.planned);
+                self.effects.push(Effect::Tell(
+                    worker,
+                    WorkerCommand::Time { job: id, planned },
+                ));
+                if let Some(w) = self.roster.workers.get_mut(&worker) {
                     w.timing.insert(id);
                 }
                 self.park(id, Parked::Timing(worker), now.ms + TIMING_LIMIT);
             }
-            // Not reached: the lists of hungry workers hold those that can serve the choice.
+            // Unreachable: the lists of hungry workers contain only workers that can serve the choice.
             Binding::Cannot => self.park(
                 id,
                 Parked::Binding(now.ms + MORE_WORKERS),
@@ -70,20 +77,25 @@ impl Scheduler {
         }
     }
 
-    /// The profiles that a job of this choice can be bound to without timing, with the number of connected
-    /// workers that speak for each.
+    /// Returns the profiles that a job with this tracer choice can be bound to without timing.
+    ///
+    /// Each profile is returned with the number of connected workers that support it.
     fn candidates(&self, choice: Option<TracerChoice>) -> Vec<(String, u64)> {
         let votes = |(profile, pool): (&super::pools::Profile, &super::pools::Pool)| {
             let votes = match choice {
-                Some(TracerChoice::Cpu) if profile.starts_with("cpu/") => pool.able,
-                Some(TracerChoice::Gpu) if profile.starts_with("gpu/") => pool.able,
                 Some(TracerChoice::Auto) => pool.alone,
+                Some(choice) if choice.accepts(profile) => pool.able,
                 None if &**profile == NO_PROFILE => pool.able,
-                Some(TracerChoice::Cpu | TracerChoice::Gpu) | None => 0,
+                Some(_) | None => 0,
             };
             (votes > 0).then(|| (profile.to_string(), votes))
         };
-        self.pools.of.iter().filter_map(votes).collect()
+        self.queues
+            .pools
+            .by_profile
+            .iter()
+            .filter_map(votes)
+            .collect()
     }
 
     fn ask_to_bind(&mut self, id: JobId, profile: String) {
@@ -103,7 +115,7 @@ impl Scheduler {
         }
     }
 
-    /// Ends one kind of waiting.
+    /// Ends the wait of a job if the job waits for the reason `parked`.
     pub(super) fn unpark(&mut self, id: JobId, parked: Parked) {
         if let Some(job) = self.jobs.get_mut(&id)
             && job.parked == Some(parked)
@@ -113,15 +125,17 @@ impl Scheduler {
         }
     }
 
-    /// A job has waited long enough: it is bound to the profile of most workers, or timed again.
+    /// Ends the wait of a job whose time has passed. After a wait for more workers, binds the job to the
+    /// profile that most workers support. After a timing without an answer, another worker can time its
+    /// backends.
     pub(super) fn parked_timer(&mut self, id: JobId, now: Now) {
         let Some(job) = self.jobs.get(&id) else {
             return;
         };
-        let (parked, choice) = (job.parked, job.work.spec().tracer());
+        let (parked, choice) = (job.parked, job.planned.spec().tracer());
         match parked {
             Some(Parked::Timing(worker)) => {
-                if let Some(w) = self.workers.get_mut(&worker) {
+                if let Some(w) = self.roster.workers.get_mut(&worker) {
                     w.timing.remove(&id);
                 }
                 self.unpark(id, Parked::Timing(worker));
@@ -141,7 +155,7 @@ impl Scheduler {
         }
     }
 
-    /// The store has bound a job.
+    /// Records that the store has bound a job.
     pub(super) fn bound(&mut self, id: JobId, profile: String) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.pending = false;
@@ -151,13 +165,15 @@ impl Scheduler {
         }
     }
 
-    /// Binds a job to the fastest backend that a worker has timed for it. After [`MAX_ATTEMPTS`] timings
-    /// without a usable backend the job fails.
+    /// Binds a job to the fastest backend that a worker has timed for it.
+    ///
+    /// After [`MAX_ATTEMPTS`] timings without a usable backend, the job fails.
     pub(super) fn timed(&mut self, number: WorkerId, id: JobId, times: &[ProfileTime]) {
-        let Some(worker) = self.workers.get_mut(&number) else {
+        let Some(worker) = self.roster.workers.get_mut(&number) else {
             return;
         };
-        // Only the worker that was told to time its backends counts, and only while the job is not bound.
+        // Only the answer of a worker that received a timing command counts, and only while the job is not
+        // bound.
         if !worker.timing.remove(&id) {
             return;
         }
@@ -173,8 +189,8 @@ impl Scheduler {
         let Some(fastest) = fastest(&offered) else {
             job.timing_faults += 1;
             if job.timing_faults >= MAX_ATTEMPTS {
-                let reason = "no backend of the workers that timed theirs can sample this scene; see \
-                              their logs";
+                let reason = "no worker that timed its backends can sample this scene; see the workers' \
+                              logs";
                 self.fail_job(id, reason.to_owned());
             }
             self.list_job(id);
@@ -182,10 +198,10 @@ impl Scheduler {
         };
         let each: Vec<String> = offered
             .iter()
-            .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
+            .map(|t| format!("{} {:.2} ms per cube", t.profile, t.seconds_per_cube * 1e3))
             .collect();
         let chosen = format!(
-            "{}; chosen: {} (a gpu must be {CLEARLY} times as fast as the cpu and no software rasteriser)",
+            "{}; chosen: {} (auto chooses a hardware gpu only if it is {CLEARLY} times as fast as the cpu)",
             each.join(", "),
             fastest.profile
         );

@@ -4,11 +4,15 @@ use sightline_model::{NO_PROFILE, TracerChoice};
 
 use super::messages::ProfileTime;
 
-/// How many times faster than the cpu another backend must be to be chosen by `auto`.
+/// The factor by which another backend must be faster than the cpu backend for `auto` to choose it.
 pub(super) const CLEARLY: f64 = 2.0;
 
-/// The fastest profile; one that is not the cpu's only when it is [`CLEARLY`] times as fast as the cpu's. Two
-/// runs of one bake give the same bytes only on the same profile, so noise in the timing must not decide
+/// Returns the fastest profile. A profile other than the cpu's must be [`CLEARLY`] times as fast as the
+/// cpu's.
+///
+/// Profiles without a valid time are ignored, and so are software rasterisers if the cpu was timed.
+///
+/// Two runs of one bake give the same bytes only on the same profile, so noise in the timing must not decide
 /// between two profiles of nearly the same speed.
 pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
     let software = |t: &ProfileTime| is_software(&t.profile);
@@ -25,8 +29,9 @@ pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
-/// Whether a profile belongs to a software rasteriser. It uses the same cores as the cpu backend and serves
-/// machines that lack that backend.
+/// Returns true if a profile belongs to a software rasteriser.
+///
+/// A software rasteriser uses the same cores as the cpu backend, and serves machines without that backend.
 fn is_software(profile: &str) -> bool {
     ["llvmpipe", "lavapipe", "SwiftShader"]
         .iter()
@@ -35,7 +40,7 @@ fn is_software(profile: &str) -> bool {
 
 /// The next step for a job that has no profile yet.
 pub(super) enum Binding {
-    /// Bind it to this profile.
+    /// Bind the job to this profile.
     Bind(String),
     /// Let a worker time its backends.
     Time,
@@ -43,38 +48,37 @@ pub(super) enum Binding {
     Cannot,
 }
 
-/// The next step for a job without a profile when a worker with `profiles` is available.
+/// Returns the next step for a job without a profile if a worker with `profiles` is available.
 pub(super) fn profile_for(choice: Option<TracerChoice>, profiles: &[String]) -> Binding {
-    let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
     let named = match choice {
-        Some(TracerChoice::Cpu) => with("cpu/"),
-        Some(TracerChoice::Gpu) => with("gpu/"),
         None => profiles.iter().find(|p| *p == NO_PROFILE).cloned(),
         Some(TracerChoice::Auto) => {
-            let cpu = with("cpu/").is_some();
+            let cpu = profiles.iter().any(|p| TracerChoice::Cpu.accepts(p));
             let mut worth = profiles
                 .iter()
-                .filter(|p| *p != NO_PROFILE && !(cpu && is_software(p)));
+                .filter(|p| TracerChoice::Auto.accepts(p) && !(cpu && is_software(p)));
             match (worth.next(), worth.next()) {
                 (Some(only), None) => Some(only.clone()),
                 (Some(_), Some(_)) => return Binding::Time,
                 (None, _) => None,
             }
         }
+        Some(choice) => profiles.iter().find(|p| choice.accepts(p)).cloned(),
     };
     named.map_or(Binding::Cannot, Binding::Bind)
 }
 
-/// Chooses the numerics profile of a job on a machine with `profiles`, as the scheduler does when that
-/// machine is the first to take the job. `time` measures the profiles, each in seconds for a cube; it is
-/// called when several are worth it. `None` when no profile suits the job.
+/// Chooses the numerics profile of a job on a machine with `profiles`, or returns `None` if none suits.
+///
+/// The scheduler makes the same choice if that machine is the first to take the job. `time` measures the
+/// profiles, each in seconds per cube. It is called only if several profiles are candidates.
 pub fn choose_profile(
     choice: Option<TracerChoice>,
     profiles: &[String],
     time: impl FnOnce() -> Vec<(String, f64)>,
 ) -> Option<String> {
     let own = match choice {
-        // Every machine has it.
+        // Every machine supports this profile.
         None => &[NO_PROFILE.to_owned()][..],
         Some(_) => profiles,
     };
@@ -105,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_clearly_faster_gpu_displaces_the_cpu() {
+    fn only_clearly_faster_gpu_displaces_cpu() {
         let chosen = |times: &[ProfileTime]| fastest(times).map(|t| t.profile.clone());
         assert_eq!(
             chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(),
@@ -152,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn profiles_are_chosen_as_for_the_first_worker() {
+    fn profiles_are_chosen_as_for_first_worker() {
         let all = ["cpu/a".to_owned(), "gpu/real".to_owned()];
         let times = |gpu| move || vec![("cpu/a".to_owned(), 1.0), ("gpu/real".to_owned(), gpu)];
         let chosen = |choice, gpu| choose_profile(choice, &all, times(gpu));

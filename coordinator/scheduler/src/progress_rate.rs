@@ -1,25 +1,27 @@
-//! How fast a job gets on: what is left, divided by the progress of the last minutes.
+//! The progress rate of a job. The remaining time is the remaining work, divided by the rate of the last
+//! minutes.
 
 use std::collections::VecDeque;
 
-/// Shortest time between two marks, in milliseconds.
+/// Minimum time between two marks, in milliseconds.
 const EVERY: u64 = 2000;
-/// Marks that are kept: the last two minutes.
+/// Maximum number of stored marks, which cover the last two minutes.
 const MOST: usize = 60;
-/// A mark that is older than this says nothing about the present pace, if there are newer ones.
+/// The age after which a mark is discarded if newer marks exist, in milliseconds.
 const OLD: u64 = 120_000;
 
-/// The progress of a job over the last minutes.
+/// The marks of a job's progress over the last minutes. A mark is a time in milliseconds and the amount that
+/// was finished at this time, in cells or tiles.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ProgressRate(VecDeque<(u64, u64)>);
 
 impl ProgressRate {
-    /// Notes that so much is done.
+    /// Records the finished amount at a time in milliseconds.
     pub(super) fn mark(&mut self, ms: u64, done: u64) {
         if self.0.back().is_some_and(|(last, _)| ms < last + EVERY) {
             return;
         }
-        // A tile that was taken back is not done any more.
+        // The finished amount decreases if a tile was revoked.
         if self.0.back().is_some_and(|(_, before)| done < *before) {
             self.0.clear();
         }
@@ -29,14 +31,14 @@ impl ProgressRate {
         }
     }
 
-    /// Milliseconds until so much more is done, at this pace; `None` while it is not known.
+    /// Returns the milliseconds until the amount `left` is finished at this rate, or `None` if unknown.
     pub(super) fn left(&self, ms: u64, done: u64, left: u64) -> Option<u64> {
         let (since, before) = *self.0.front()?;
         let (time, moved) = (ms.saturating_sub(since), done.saturating_sub(before));
         (moved > 0 && time >= EVERY).then(|| (time as f64 / moved as f64 * left as f64) as u64)
     }
 
-    /// Nothing is known any more: the job was paused.
+    /// Removes all marks, because the job was paused.
     pub(super) fn forget(&mut self) {
         self.0.clear();
     }
@@ -47,14 +49,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_steady_job_is_foreseen() {
+    fn steady_rate_predicts_remaining_time() {
         let mut pace = ProgressRate::default();
         assert_eq!(pace.left(0, 0, 100), None);
         for second in 0..300u64 {
             pace.mark(second * 1000, second * 5);
         }
         assert_eq!(pace.left(299_000, 299 * 5, 500), Some(100_000));
-        // Minutes ago it was slower.
+        // The rate was lower some minutes ago.
         for second in 300..600u64 {
             pace.mark(second * 1000, 1500 + (second - 300) * 50);
         }

@@ -1,4 +1,4 @@
-//! Whose job is served next: priorities, and fair shares between users.
+//! Tests of the order of service: priorities, and fair shares between users.
 
 use std::cmp::Reverse;
 
@@ -11,7 +11,7 @@ use super::messages::{Progress, WorkerCommand};
 use super::queue::{Queue, QueueKey, Share, User};
 use super::tests::{Bench, empty};
 
-fn whom(user: &str, priority: i32) -> QueueKey {
+fn queue_key(user: &str, priority: i32) -> QueueKey {
     QueueKey {
         user: user.into(),
         priority: Reverse(priority),
@@ -19,13 +19,13 @@ fn whom(user: &str, priority: i32) -> QueueKey {
 }
 
 #[test]
-fn a_queue_serves_priorities_then_users_then_ages() {
+fn queue_serves_priorities_then_users_then_ages() {
     let [few, many] = [1, 5].map(|workers| Share { workers, used: 0 });
     let mut queue = Queue::default();
-    queue.insert(&whom("greedy", 0), many, 1);
-    queue.insert(&whom("modest", 0), few, 4);
-    queue.insert(&whom("modest", 0), few, 3);
-    queue.insert(&whom("greedy", 7), many, 9);
+    queue.insert(&queue_key("greedy", 0), many, 1);
+    queue.insert(&queue_key("modest", 0), few, 4);
+    queue.insert(&queue_key("modest", 0), few, 3);
+    queue.insert(&queue_key("greedy", 7), many, 9);
     let serve = |queue: &mut Queue<u32>, share: &dyn Fn(&User) -> Share| {
         let (turn, thing) = queue.first().map(|(turn, thing)| (turn.clone(), *thing))?;
         queue.remove(
@@ -45,7 +45,7 @@ fn a_queue_serves_priorities_then_users_then_ages() {
     assert!(queue.is_empty() && queue.is_in_order(share));
 }
 
-/// A worker that has no tile of its own gets one at a time; the jobs of the tiles that it gets.
+/// Lets a worker without a tile get one tile at a time. Returns the jobs of the tiles.
 fn served(b: &mut Bench, worker: WorkerId, tiles: usize, millis: u64) -> Vec<u64> {
     let mut jobs = Vec::new();
     for _ in 0..tiles {
@@ -68,26 +68,26 @@ fn served(b: &mut Bench, worker: WorkerId, tiles: usize, millis: u64) -> Vec<u64
 }
 
 #[test]
-fn a_worker_serves_users_in_turn_and_a_higher_priority_at_once() {
+fn worker_serves_users_in_turn_and_higher_priority_at_once() {
     let mut b = empty(1);
     b.add(9, "a", 0, false);
     b.add(9, "a", 0, false);
     let worker = b.join("w");
     assert_eq!(served(&mut b, worker, 2, 10), [1, 1]);
-    // A user who comes later is not given what the first one had before.
+    // A later user is not compensated for the earlier time of the first user.
     b.add(9, "b", 0, false);
     assert_eq!(served(&mut b, worker, 5, 10), [1, 3, 1, 3, 1]);
     let urgent = b.add(1, "a", 1, false);
-    // A tile is given while the store binds the new job to a profile.
+    // A tile is granted while the store binds the new job to a profile.
     assert_eq!(served(&mut b, worker, 3, 10), [3, urgent.0, 3]);
-    // Job 1 has three tiles left; the store says that it is urgent now.
+    // Job 1 has three tiles left; its priority is raised now.
     let record = b.store.prioritize_job(JobId(1), 5).unwrap();
     b.step(Event::JobChanged(Box::new(record)));
     assert_eq!(served(&mut b, worker, 4, 10)[..4], [1, 1, 1, 1]);
 }
 
 #[test]
-fn a_user_whose_job_was_paused_has_saved_nothing_up() {
+fn paused_job_saves_up_no_share() {
     let mut b = empty(1);
     let paused = b.add(9, "a", 0, false);
     b.add(20, "b", 0, false);
@@ -105,7 +105,7 @@ fn a_user_whose_job_was_paused_has_saved_nothing_up() {
         3,
         "{turns:?}"
     );
-    // One who comes while the other is paused does not inherit that either.
+    // A user that joins while another one is paused does not inherit that time either.
     b.set(paused, &[JobPhase::Running], JobState::Paused);
     assert_eq!(served(&mut b, worker, 4, 1000), [2; 4]);
     b.add(9, "c", 0, false);
@@ -118,7 +118,7 @@ fn a_user_whose_job_was_paused_has_saved_nothing_up() {
 }
 
 #[test]
-fn users_have_the_same_number_of_workers_however_many_jobs_they_have() {
+fn users_share_workers_evenly_for_any_number_of_jobs() {
     let mut b = empty(1);
     for _ in 0..3 {
         b.add(4, "greedy", 0, false);
@@ -133,7 +133,7 @@ fn users_have_the_same_number_of_workers_however_many_jobs_they_have() {
     assert_eq!(by_user, [3, 3]);
 }
 
-/// The lease whose holder a worker was last told to help.
+/// Returns the lease whose holder a worker was last sent to help.
 fn helps(b: &Bench, worker: WorkerId) -> Option<Lease> {
     let told = b.told.get(&worker)?.iter();
     told.filter_map(|o| {
@@ -147,7 +147,7 @@ fn helps(b: &Bench, worker: WorkerId) -> Option<Lease> {
 }
 
 #[test]
-fn helpers_move_to_the_user_and_the_priority_that_come_first() {
+fn helpers_move_to_first_user_and_priority() {
     let mut b = empty(1);
     b.add(1, "a", 0, false);
     let workers: Vec<WorkerId> = (0..6).map(|w| b.join(&format!("w{w}"))).collect();
@@ -155,10 +155,14 @@ fn helpers_move_to_the_user_and_the_priority_that_come_first() {
     let first = b.grants(workers[0])[0];
     b.step(Event::CrewOpened(first));
     workers[1..].iter().for_each(|w| b.want(*w, 2));
-    let helping =
-        |b: &Bench, of: Lease| workers.iter().filter(|w| helps(b, **w) == Some(of)).count();
+    let helping = |b: &Bench, lease: Lease| {
+        workers
+            .iter()
+            .filter(|w| helps(b, **w) == Some(lease))
+            .count()
+    };
     assert_eq!(helping(&b, first), 5);
-    // The second user's job gets a leader from among the helpers, and then half of all workers.
+    // The job of the second user gets a leader from among the helpers, and then half of all workers.
     let second_job = b.add(1, "b", 0, false);
     let leader = *workers
         .iter()
@@ -172,17 +176,17 @@ fn helpers_move_to_the_user_and_the_priority_that_come_first() {
         (2, 2),
         "the new leader helps nobody"
     );
-    // With a higher priority it gets them all.
+    // With a higher priority the job gets all helpers.
     let record = b.store.prioritize_job(second_job, 1).unwrap();
     b.step(Event::JobChanged(Box::new(record)));
     assert_eq!((helping(&b, first) - 1, helping(&b, second)), (0, 4));
-    // What a moved worker says about its earlier leader is no news.
+    // A late message of a moved worker about its earlier leader has no effect.
     let moved = *workers
         .iter()
         .find(|w| helps(&b, **w) == Some(second))
         .unwrap();
     b.step(Event::Helped(moved, first));
-    assert_eq!(b.scheduler.workers[&moved].helps, Some(second));
+    assert_eq!(b.scheduler.roster.workers[&moved].helps, Some(second));
     b.step(Event::CrewClosed(second));
     workers
         .iter()

@@ -1,9 +1,10 @@
-//! Fair shares: among jobs of one priority the user comes first whose jobs have the fewest workers, then the
-//! one that has used the least time. A user's jobs follow each other in the order of submission.
+//! Fair shares of the workers between users.
 //!
-//! A user is what the submission says; the time used counts from the user's first open job. One who comes
-//! back counts as having used as little as the other users, so that nobody pays for a quiet week or saves up
-//! for a busy one.
+//! Within a priority, the user whose jobs have the fewest workers comes first, then the user that has used
+//! the least time. A user's jobs follow each other in the order of submission.
+//!
+//! The submission names the user. The used time counts from the user's first open job. A returning user
+//! starts with the least used time of the active users, so an idle week neither costs nor earns time.
 
 use std::collections::BTreeSet;
 
@@ -13,18 +14,19 @@ use super::queue::{Account, Share, User};
 use super::state::Scheduler;
 
 impl Scheduler {
-    /// The share of a user.
+    /// Returns the share of a user.
     pub(super) fn share(&self, user: &User) -> Share {
-        self.accounts
+        self.queues
+            .accounts
             .get(user)
             .map(|account| account.share)
             .unwrap_or_default()
     }
 
-    /// A job of this user is open from now on.
+    /// Counts a new open job of a user.
     pub(super) fn open_account(&mut self, user: &User) {
-        if !self.accounts.contains_key(user) {
-            self.accounts.insert(
+        if !self.queues.accounts.contains_key(user) {
+            self.queues.accounts.insert(
                 User::clone(user),
                 Account {
                     share: Share::default(),
@@ -33,36 +35,43 @@ impl Scheduler {
             );
         }
         self.catch_up(user);
-        if let Some(account) = self.accounts.get_mut(user) {
+        if let Some(account) = self.queues.accounts.get_mut(user) {
             account.jobs += 1;
         }
     }
 
-    /// Before a job of this user can have workers again: if none could, the user counts as having used as
-    /// little as the others that can.
+    /// Raises the used time of a user before a job of the user can have workers again.
+    ///
+    /// If none of the user's jobs could have workers, the user starts with the least used time of the active
+    /// users.
     pub(super) fn catch_up(&mut self, user: &User) {
         let running = self
             .jobs
             .values()
             .filter(|job| job.runs() && job.open() > 0);
-        let active: BTreeSet<&User> = running.map(|job| &job.whom.user).collect();
+        let active: BTreeSet<&User> = running.map(|job| &job.key.user).collect();
         if active.contains(user) {
             return;
         }
-        let used = |user: &&User| self.accounts.get(*user).map(|a| a.share.used);
+        let used = |user: &&User| self.queues.accounts.get(*user).map(|a| a.share.used);
         let Some(least) = active.iter().filter_map(used).min() else {
             return;
         };
-        let Some(account) = self.accounts.get_mut(user).filter(|a| a.share.workers == 0) else {
+        let Some(account) = self
+            .queues
+            .accounts
+            .get_mut(user)
+            .filter(|a| a.share.workers == 0)
+        else {
             return;
         };
-        // The user has no job in any list, so no list has to be ordered anew.
+        // The user has no job in any list, so no list must be reordered.
         account.share.used = account.share.used.max(least);
     }
 
-    /// A job of this user has ended, and has neither leases nor helpers.
+    /// Counts a job of a user as ended. The job has neither leases nor helpers.
     pub(super) fn close_account(&mut self, user: &User) {
-        let Some(account) = self.accounts.get_mut(user) else {
+        let Some(account) = self.queues.accounts.get_mut(user) else {
             return;
         };
         account.jobs -= 1;
@@ -71,18 +80,18 @@ impl Scheduler {
                 account.share.workers == 0,
                 "a user without jobs has workers"
             );
-            self.accounts.remove(user);
+            self.queues.accounts.remove(user);
         }
     }
 
-    /// A worker begins to work on a job.
+    /// Counts a worker that begins to work on a job.
     pub(super) fn charge(&mut self, job: JobId) {
         self.change_share(job, |share| share.workers += 1);
     }
 
-    /// A worker ends working on a job, which it did since `since`.
+    /// Counts a worker as finished with a job on which it has worked since `since`, in milliseconds.
     pub(super) fn discharge(&mut self, job: JobId, since: u64) {
-        let spent = self.clock - since.min(self.clock);
+        let spent = self.time.clock - since.min(self.time.clock);
         self.change_share(job, |share| {
             debug_assert!(share.workers > 0, "a worker ends what it has not begun");
             share.workers = share.workers.saturating_sub(1);
@@ -91,16 +100,16 @@ impl Scheduler {
     }
 
     fn change_share(&mut self, job: JobId, change: impl FnOnce(&mut Share)) {
-        let Some(user) = self.jobs.get(&job).map(|job| User::clone(&job.whom.user)) else {
+        let Some(user) = self.jobs.get(&job).map(|job| User::clone(&job.key.user)) else {
             return;
         };
-        let Some(account) = self.accounts.get_mut(&user) else {
+        let Some(account) = self.queues.accounts.get_mut(&user) else {
             return;
         };
         let from = account.share;
         change(&mut account.share);
         let to = account.share;
-        for pool in self.pools.of.values_mut() {
+        for pool in self.queues.pools.by_profile.values_mut() {
             pool.jobs.reorder(&user, from, to);
             pool.crews.reorder(&user, from, to);
         }

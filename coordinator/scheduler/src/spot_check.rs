@@ -5,24 +5,25 @@ use std::sync::Arc;
 
 use sightline_records::ids::{Digest, worker_name};
 
-/// The signature of a worker: its name, with its identity where it has one.
+/// The signature of a worker: its name, and its identity if it has one.
 pub(super) type Name = Arc<str>;
 
-/// What somebody has computed for a tile.
+/// An answer: the output that a worker has computed for a tile.
 #[derive(Clone, Debug)]
 pub(super) struct Recomputation {
     pub(super) digest: Digest,
-    /// Who has sent it.
+    /// The worker that sent the output.
     pub(super) author: Name,
-    /// All who had a hand in it.
+    /// All workers that contributed to the output.
     pub(super) workers: BTreeSet<Name>,
 }
 
 impl Recomputation {
-    /// Those who may have made it wrong, where others have made the right one.
+    /// Returns the workers that may have made this output wrong. `right` contains the workers of the right
+    /// output.
     pub(super) fn guilty(&self, right: &BTreeSet<Name>) -> BTreeSet<Name> {
         let others: BTreeSet<Name> = self.workers.difference(right).cloned().collect();
-        // Whoever has helped with the right one may have sent a wrong one alone.
+        // If all contributors also contributed to the right output, only the sender can have erred.
         if others.is_empty() {
             BTreeSet::from([Name::clone(&self.author)])
         } else {
@@ -31,25 +32,26 @@ impl Recomputation {
     }
 }
 
-/// A done tile that is to be checked.
+/// A done tile that must be checked.
 #[derive(Clone, Debug)]
 pub(super) struct SpotCheck {
-    /// The first one is that of the tile.
+    /// The answers so far. The first one is the output of the tile.
     pub(super) answers: Vec<Recomputation>,
     pub(super) tries: u32,
     pub(super) not_before: u64,
-    /// Since when nobody is there who could check it, although the job lacks nothing else.
+    /// The time since which no possible checker exists although the job only lacks checks, in milliseconds.
     pub(super) without_checker_since: Option<u64>,
-    /// Whether somebody may check it who has helped with it, because nobody else is there.
+    /// True if a helper of the tile may check it, because no other worker exists.
     pub(super) helpers_may: bool,
-    /// Whether it was said that a third worker is needed.
+    /// True if the log states that a third worker is needed.
     pub(super) told: bool,
-    /// The tile's own answer was wrong: it waits to be computed again.
+    /// True if the tile's own output was wrong, so that the tile waits to be computed again.
     pub(super) condemned: bool,
 }
 
 impl SpotCheck {
-    pub(super) fn of(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
+    /// Creates the check of a done tile. `workers` are the contributors to its output.
+    pub(super) fn new(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
         workers.insert(Name::clone(&author));
         Self {
             answers: vec![Recomputation {
@@ -66,8 +68,10 @@ impl SpotCheck {
         }
     }
 
-    /// Returns true if a worker with this signature must not check the tile. A worker without credentials has
-    /// another identity after a restart, so signatures with the same name count as one.
+    /// Returns true if a worker with this signature must not check the tile.
+    ///
+    /// A worker without credentials has another identity after a restart, so signatures with the same name
+    /// count as one worker.
     pub(super) fn knows(&self, signature: &str) -> bool {
         let name = worker_name(signature);
         let is_same = |other: &Name| worker_name(other) == name;

@@ -1,4 +1,4 @@
-//! Spot checks: who computes a tile again, and what follows from its bytes.
+//! Tests of spot checks: the choice of the checker, and the consequences of its answer.
 
 use sightline_records::ids::{JobId, Lease, TileIndex, WorkerId};
 use sightline_records::{JobPhase, JobState, TileStats};
@@ -9,7 +9,7 @@ use super::*;
 const RIGHT: [u8; 32] = [1; 32];
 const WRONG: [u8; 32] = [2; 32];
 
-/// A job of one tile, all of whose tiles are checked.
+/// Creates a job with one tile, in a scheduler that checks all tiles.
 fn checked() -> (Bench, JobId) {
     let mut bench = empty(1);
     bench.scheduler.settings.spot_check = 1.0;
@@ -18,10 +18,11 @@ fn checked() -> (Bench, JobId) {
 }
 
 impl Bench {
-    /// A worker delivers the tile that it was granted last.
+    /// Delivers the last tile that a worker was granted.
     fn deliver(&mut self, worker: WorkerId, name: &str, digest: [u8; 32]) {
         let lease = *self.grants(worker).last().unwrap();
-        let checks = self.scheduler.admit(&lease).unwrap().checks;
+        let right = self.scheduler.admit(&lease).unwrap().right;
+        let checks = matches!(right, Right::Compare { .. });
         if checks {
             self.step(Event::Checked { lease, digest });
         } else {
@@ -54,7 +55,7 @@ impl Bench {
 }
 
 #[test]
-fn a_tile_is_computed_again_elsewhere_before_its_job_ends() {
+fn another_worker_checks_tile_before_its_job_ends() {
     let (mut b, job) = checked();
     let ada = b.arrive("ada");
     b.deliver(ada, "ada", RIGHT);
@@ -93,7 +94,7 @@ fn job_that_was_paused_with_checks_left_ends_after_it_was_resumed() {
 }
 
 #[test]
-fn the_third_worker_decides_and_the_liar_is_quarantined() {
+fn third_worker_decides_and_faulty_worker_is_quarantined() {
     for liar_first in [true, false] {
         let (mut b, _) = checked();
         let (one, two) = if liar_first {
@@ -106,7 +107,8 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         let bob = b.arrive("bob");
         b.wait(1);
         b.deliver(bob, "bob", two);
-        // Nobody knows who is right: neither gets anything, and the job waits for a third.
+        // It is unknown which answer is right: neither worker gets a tile, and the job waits for a third
+        // worker.
         b.add(1, "", 5, false);
         b.wait(30);
         assert_eq!(
@@ -120,17 +122,13 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         );
         let cy = b.arrive("cy");
         b.wait(1);
-        // What waits for a third one comes before other tiles, whatever their priority.
-        assert!(
-            b.scheduler
-                .admit(b.grants(cy).last().unwrap())
-                .unwrap()
-                .checks
-        );
+        // A check that waits for a third worker comes before other tiles of any priority.
+        let admission = b.scheduler.admit(b.grants(cy).last().unwrap()).unwrap();
+        assert!(matches!(admission.right, Right::Compare { .. }));
         b.deliver(cy, "cy", RIGHT);
         let liar = if liar_first { "ada" } else { "bob" };
         assert_eq!(b.condemned(), [liar]);
-        // What the liar still holds does not count, and the tile that it made keeps its job open.
+        // The leases of the faulty worker do not count, and the tile that it computed keeps its job open.
         assert!(b.scheduler.quarantined().contains(liar));
         assert_eq!(b.assembled.is_empty(), liar_first);
         b.wait(1);
@@ -145,7 +143,7 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
 }
 
 #[test]
-fn a_lonely_worker_s_job_goes_on_unchecked_and_says_so() {
+fn job_of_only_worker_continues_unchecked_with_note() {
     let (mut b, job) = checked();
     let ada = b.arrive("ada");
     b.deliver(ada, "ada", RIGHT);
@@ -161,17 +159,17 @@ fn a_lonely_worker_s_job_goes_on_unchecked_and_says_so() {
 }
 
 #[test]
-fn what_a_quarantined_worker_delivers_late_does_not_count() {
+fn late_output_of_quarantined_worker_does_not_count() {
     let mut b = empty(1);
     let job = b.add(2, "", 0, false);
     let ada = b.arrive("ada");
     let lease = b.grants(ada)[0];
-    assert!(b.scheduler.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts());
     b.step(Event::Quarantined("ada".to_owned()));
-    assert!(!b.scheduler.admit(&lease).unwrap().counts);
+    assert!(!b.scheduler.admit(&lease).unwrap().counts());
     b.want(ada, 1);
     assert_eq!(b.grants(ada).len(), 1);
-    // Of leases of an earlier epoch it is not known who held them.
+    // The holders of leases of an earlier epoch are unknown.
     let id = sightline_records::ids::LeaseId {
         epoch: sightline_records::ids::Epoch(0),
         number: 1,
@@ -181,16 +179,17 @@ fn what_a_quarantined_worker_delivers_late_does_not_count() {
         tile: TileIndex(1),
         id,
     };
-    assert!(!b.scheduler.admit(&earlier).unwrap().counts);
+    assert!(!b.scheduler.admit(&earlier).unwrap().counts());
     b.step(Event::Released("ada".to_owned()));
     assert!(
-        b.scheduler.admit(&lease).unwrap().counts && b.scheduler.admit(&earlier).unwrap().counts
+        b.scheduler.admit(&lease).unwrap().counts()
+            && b.scheduler.admit(&earlier).unwrap().counts()
     );
     assert_eq!(b.grants(ada).len(), 2);
 }
 
 #[test]
-fn a_check_that_fails_is_tried_again_and_left_in_the_end() {
+fn failing_check_is_retried_and_dropped() {
     let (mut b, job) = checked();
     let ada = b.arrive("ada");
     b.deliver(ada, "ada", RIGHT);
@@ -207,7 +206,7 @@ fn a_check_that_fails_is_tried_again_and_left_in_the_end() {
 }
 
 #[test]
-fn the_share_is_that_of_the_tiles() {
+fn share_of_checked_tiles_matches_setting() {
     let mut b = empty(1);
     b.scheduler.settings.spot_check = 0.25;
     b.add(400, "", 0, false);
@@ -215,11 +214,11 @@ fn the_share_is_that_of_the_tiles() {
     for _ in 0..400 {
         b.deliver(ada, "ada", RIGHT);
     }
-    let drawn = b.scheduler.spotted.len();
+    let drawn = b.scheduler.trust.spotted.len();
     assert!((60..140).contains(&drawn), "{drawn}");
 }
 
-/// A job of one tile that ada has led and bob has helped with.
+/// Creates a job with one tile that ada has led and bob has helped with.
 fn by_two() -> (Bench, WorkerId, WorkerId) {
     let (mut b, _) = checked();
     let ada = b.arrive("ada");
@@ -229,7 +228,7 @@ fn by_two() -> (Bench, WorkerId, WorkerId) {
     assert!(
         b.told[&bob]
             .iter()
-            .any(|order| matches!(order, WorkerCommand::Help(_)))
+            .any(|command| matches!(command, WorkerCommand::Help(_)))
     );
     b.step(Event::CrewClosed(lease));
     b.step(Event::Helped(bob, lease));
@@ -237,7 +236,7 @@ fn by_two() -> (Bench, WorkerId, WorkerId) {
 }
 
 #[test]
-fn who_has_helped_checks_only_where_nobody_else_is() {
+fn helper_checks_only_without_other_workers() {
     let (mut b, ada, bob) = by_two();
     b.deliver(ada, "ada", RIGHT);
     b.wait(5);
@@ -246,7 +245,7 @@ fn who_has_helped_checks_only_where_nobody_else_is() {
     assert_eq!(b.grants(bob).len(), 1);
     b.deliver(bob, "bob", RIGHT);
     assert_eq!(b.assembled.len(), 1);
-    // With a third one it is the third one's.
+    // If a third worker exists, it checks the tile.
     let (mut b, ada, bob) = by_two();
     b.deliver(ada, "ada", RIGHT);
     let cy = b.arrive("cy");
@@ -255,7 +254,7 @@ fn who_has_helped_checks_only_where_nobody_else_is() {
 }
 
 #[test]
-fn who_has_helped_with_the_right_bytes_is_guilty_of_wrong_ones_of_its_own() {
+fn helper_of_right_output_is_guilty_of_own_wrong_output() {
     for (first, second, guilty) in [(RIGHT, WRONG, "bob"), (WRONG, RIGHT, "ada")] {
         let (mut b, ada, bob) = by_two();
         b.deliver(ada, "ada", first);
@@ -266,4 +265,22 @@ fn who_has_helped_with_the_right_bytes_is_guilty_of_wrong_ones_of_its_own() {
         b.deliver(cy, "cy", RIGHT);
         assert_eq!(b.condemned(), [guilty]);
     }
+}
+
+#[test]
+fn job_continues_unchecked_without_requesting_worker() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    let lease = *b.grants(ada).last().unwrap();
+    let stats = TileStats {
+        worker: "ada".to_owned(),
+        ..TileStats::default()
+    };
+    b.step(Event::Committed {
+        lease,
+        digest: RIGHT,
+        stats,
+    });
+    b.wait(15);
+    assert_eq!(b.assembled, [job]);
 }

@@ -1,9 +1,10 @@
-//! The scheduler as a state machine: an event and the time in, effects out.
+//! The scheduler as a state machine: it receives an event and the time, and returns effects.
 //!
-//! It reads no clock, takes no lock, and knows no thread, file, channel or store. The only randomness is a
-//! generator seeded at construction. So a run is a function of its events, and the simulator drives the same
-//! code as the coordinator. Every event costs the logarithm of what there is, except for a job that is taken
-//! up or ends, and a tile that is set aside, which look at all tiles of one job.
+//! The scheduler does not read a clock or lock a mutex, and does not depend on threads, files, channels or a
+//! store. The only randomness is a generator seeded at construction. So a run is a function of its events,
+//! and the simulator runs the same code as the coordinator. The cost of an event is logarithmic in the size
+//! of the state. Exceptions are a job that is added or ends, and a tile that is set aside: they inspect all
+//! tiles of one job.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -16,36 +17,37 @@ use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use super::crew::Crew;
 use super::death::{Death, DeathOf, Missing};
 use super::event::{Effect, Event, Note, StoreCommand};
-use super::job::{Job, Output};
+use super::job::{OpenJob, Output};
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
 use super::spot_check::Name;
 use super::worker_totals::WorkerTotals;
 
-/// How long no tiles are granted after the store could not be written.
+/// The time without grants after the store could not be written, in milliseconds.
 pub(super) const PAUSE: u64 = 10_000;
-/// Time between two attempts to write a result that the disk has no space for.
+/// The time between two attempts to write a result that the disk has no space for, in milliseconds.
 pub(super) const SPACE_EVERY: u64 = 10_000;
-/// A tick that comes this much later than the one before says that the coordinator itself stood still.
+/// The delay between two ticks, in milliseconds, above which the coordinator itself stood still.
 const STALLED: u64 = 3000;
-/// After a standstill leases end at the earliest after this time, so that reports that wait are read first.
+/// The minimum time after a standstill before leases end, in milliseconds, so that the scheduler first
+/// receives the reports that workers sent during the standstill.
 const AFTER_STALL: u64 = 3000;
 
 /// The settings of the scheduler.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// This start of the coordinator.
+    /// The epoch of this start of the coordinator.
     pub epoch: Epoch,
-    /// How long a lease lives without being renewed, in milliseconds.
+    /// The time after which a lease ends unless it is renewed, in milliseconds.
     pub ttl: u64,
-    /// How long a tile may make no progress, in milliseconds.
+    /// The time without progress after which a tile is revoked, in milliseconds.
     pub stuck: u64,
-    /// Seeds the jitter of back-offs.
+    /// The seed for the jitter of back-offs.
     pub seed: u64,
-    /// The share of tiles that are computed again.
+    /// The fraction of done tiles that spot checks compute again, from 0 to 1.
     pub spot_check: f64,
-    /// The secret seed with which these tiles are drawn.
+    /// The secret seed that determines the tiles for spot checks.
     pub spot_seed: u64,
 }
 
@@ -53,31 +55,33 @@ pub struct Settings {
 #[derive(Debug)]
 pub(super) struct Worker {
     pub(super) name: String,
-    /// The name with the worker's identity.
+    /// The signature: the name with the worker's identity.
     pub(super) signature: Name,
-    /// Version of its program.
+    /// The version of the worker's program.
     pub(super) version: String,
-    /// When it connected and when its last message came, in milliseconds since 1970.
+    /// The time of the connection, in milliseconds since 1970.
     pub(super) joined: u64,
+    /// The time of the last message, in milliseconds since 1970.
     pub(super) heard: u64,
     pub(super) done: WorkerTotals,
     pub(super) instance: u64,
     pub(super) profiles: BTreeSet<Profile>,
-    /// For each choice whether it can serve it.
+    /// True for each tracer choice that the worker can serve.
     pub(super) serves: [bool; CHOICES],
     pub(super) wants: u32,
     pub(super) draining: bool,
-    /// It did not take an order; it gets none until then.
+    /// The time until which the worker gets no commands, because an earlier command could not be sent.
     pub(super) backpressured_until: Option<u64>,
-    /// A lease of it ran out although its stream is there: it gets nothing until it asks again.
-    pub(super) silent: bool,
-    /// The first lease that ran out since it has said anything.
+    /// True after a lease ran out although the stream exists. The worker gets no tiles until it requests
+    /// tiles again.
+    pub(super) unresponsive: bool,
+    /// The first lease that ran out since the worker's last message.
     pub(super) unheard: Option<Lease>,
     pub(super) leases: BTreeSet<LeaseId>,
-    /// Whether it can help leaders, and the one whom it helps.
+    /// True if the worker can help leaders.
     pub(super) can_help: bool,
     pub(super) helps: Option<Lease>,
-    /// Jobs for which it times its backends.
+    /// The jobs for which the worker times its backends.
     pub(super) timing: BTreeSet<JobId>,
 }
 
@@ -86,130 +90,158 @@ pub(super) struct Worker {
 pub(super) struct Leased {
     pub(super) job: JobId,
     pub(super) tile: TileIndex,
-    /// The connection that holds it, also after the connection's end.
+    /// The connection that holds the lease, also after the connection has ended.
     pub(super) worker: WorkerId,
     pub(super) profile: Profile,
-    /// When it was given.
+    /// The time of the grant.
     pub(super) given: u64,
     pub(super) renewed: u64,
     pub(super) moved: u64,
-    /// When the worker's stream ended.
+    /// The time at which the worker's stream ended.
     pub(super) gone: Option<u64>,
     pub(super) cells: u64,
     pub(super) samples: u64,
-    /// When it was first seen to make progress.
+    /// The time of the first reported progress.
     pub(super) begun: Option<u64>,
-    /// Whether it is in its pool's list of waiting tiles.
+    /// True if the lease is in its pool's list of waiting tiles.
     pub(super) waits: bool,
-    /// When its timer fires.
+    /// The time at which the lease's timer fires.
     pub(super) timer: u64,
-    /// Whether it is the check of a done tile.
+    /// True if the lease is the check of a done tile.
     pub(super) checks: bool,
 }
 
-/// What a timer is for.
+/// The purpose of a timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Timer {
-    /// A lease may have ended.
+    /// Checks whether a lease has ended.
     Lease(LeaseId),
-    /// A tile has waited after a fault.
+    /// Ends the delay of a tile after a fault.
     Tile(JobId, TileIndex),
-    /// A job has waited for the timing of backends, or for more workers.
+    /// Ends a job's wait for the timing of backends, or for more workers.
     Parked(JobId),
-    /// A job has waited for leases of an earlier epoch.
+    /// Ends a job's wait for leases of an earlier epoch.
     Grace(JobId),
-    /// A result has waited for space.
+    /// Ends the wait for disk space of a job's result.
     Space(JobId),
-    /// A worker may take orders again.
-    Deaf(WorkerId),
-    /// Leasing goes on.
+    /// Ends the time in which a worker gets no commands.
+    Backpressure(WorkerId),
+    /// Resumes leasing.
     Leasing,
 }
 
-/// The scheduler.
+/// The connected workers.
+#[derive(Debug, Default)]
+pub(super) struct Roster {
+    /// The number of connections so far.
+    pub(super) count: u64,
+    pub(super) workers: BTreeMap<WorkerId, Worker>,
+    /// Connected workers that sent an instance, by name.
+    pub(super) names: BTreeMap<String, WorkerId>,
+    /// Connected workers that sent an instance, by instance.
+    pub(super) instances: BTreeMap<u64, WorkerId>,
+}
+
+/// The workers whose streams have ended, and their deaths.
+#[derive(Debug, Default)]
+pub(super) struct Deaths {
+    /// The workers whose streams have ended and that may return.
+    pub(super) missing: BTreeMap<WorkerId, Missing>,
+    /// The deaths that are cancelled if the worker returns, from the oldest.
+    pub(super) recent: VecDeque<Death>,
+    /// The deaths that the store has not recorded yet. True if the death was cancelled in the meantime.
+    pub(super) recording: BTreeMap<DeathOf, bool>,
+}
+
+/// The leases of this epoch, and the waits for the leases of earlier epochs.
+#[derive(Debug, Default)]
+pub(super) struct Leases {
+    /// The number of leases granted so far.
+    pub(super) count: u64,
+    pub(super) table: BTreeMap<LeaseId, Leased>,
+    /// The jobs whose tiles an earlier epoch may have leased, with the end of their grace.
+    pub(super) graces: BTreeMap<JobId, u64>,
+}
+
+/// The queues of tiles and of helpers.
+#[derive(Debug, Default)]
+pub(super) struct Queues {
+    /// The ready jobs and idle workers by profile.
+    pub(super) pools: Pools,
+    /// The users with open jobs.
+    pub(super) accounts: BTreeMap<User, Account>,
+    /// The leased tiles whose leaders can use helpers.
+    pub(super) crews: BTreeMap<LeaseId, Crew>,
+}
+
+/// The checks of outputs, and the workers that they concern.
+#[derive(Debug, Default)]
+pub(super) struct Trust {
+    /// The done tiles that must be checked.
+    pub(super) spotted: BTreeSet<(JobId, TileIndex)>,
+    /// The workers that get no tiles because other workers computed other bytes, by signature, with the
+    /// tiles.
+    pub(super) suspects: BTreeMap<Name, BTreeSet<(JobId, TileIndex)>>,
+    /// The signatures of the quarantined workers, which get no tiles because their bytes were wrong.
+    pub(super) quarantined: BTreeSet<Name>,
+    /// The quarantine commands that the store has rejected.
+    pub(super) refused: Vec<StoreCommand>,
+}
+
+/// The time and the timers.
+#[derive(Debug, Default)]
+pub(super) struct Time {
+    /// The latest time of an event. Times never decrease.
+    pub(super) clock: u64,
+    pub(super) timers: BTreeSet<(u64, Timer)>,
+    pub(super) last_tick: Option<u64>,
+    /// The end of the time in which leases do not end because the coordinator stood still.
+    pub(super) patient_until: u64,
+    /// The end of the time in which no tiles are granted.
+    pub(super) paused_until: Option<u64>,
+}
+
+/// The scheduler: assigns the tiles of all open jobs to the connected workers.
 #[derive(Debug)]
 pub struct Scheduler {
     pub(super) settings: Settings,
     pub(super) random: SplitMix64,
-    pub(super) next_lease: u64,
-    pub(super) next_worker: u64,
-    pub(super) jobs: BTreeMap<JobId, Job>,
-    pub(super) workers: BTreeMap<WorkerId, Worker>,
-    pub(super) leases: BTreeMap<LeaseId, Leased>,
-    /// Connected workers that sent an instance: by name, and by instance.
-    pub(super) names: BTreeMap<String, WorkerId>,
-    pub(super) instances: BTreeMap<u64, WorkerId>,
-    /// Workers whose streams have ended and that may return.
-    pub(super) missing: BTreeMap<WorkerId, Missing>,
-    /// Deaths that are cancelled if the worker returns, from the oldest.
-    pub(super) deaths: VecDeque<Death>,
-    /// Deaths that the store has not recorded yet, and whether they were cancelled in the meantime.
-    pub(super) recording: BTreeMap<DeathOf, bool>,
-    /// Leased tiles whose leaders can use helpers.
-    pub(super) crews: BTreeMap<LeaseId, Crew>,
-    /// Users with open jobs.
-    pub(super) accounts: BTreeMap<User, Account>,
-    pub(super) pools: Pools,
-    pub(super) timers: BTreeSet<(u64, Timer)>,
-    /// Jobs whose tiles an earlier epoch may have leased, and until when nobody else gets them.
-    pub(super) graces: BTreeMap<JobId, u64>,
+    pub(super) jobs: BTreeMap<JobId, OpenJob>,
+    /// The only job whose tiles are leased; `None` for all jobs.
     pub(super) only: Option<JobId>,
-    pub(super) paused_until: Option<u64>,
-    /// Done tiles that are to be checked.
-    pub(super) spotted: BTreeSet<(JobId, TileIndex)>,
-    /// Workers that get no tiles because others have computed other bytes, by signature, and for which tiles.
-    pub(super) suspects: BTreeMap<Name, BTreeSet<(JobId, TileIndex)>>,
-    /// The signatures of workers that get no tiles because their bytes were wrong.
-    pub(super) quarantined: BTreeSet<Name>,
-    /// What the store has refused to note about wrong workers.
-    pub(super) unsaid: Vec<StoreCommand>,
-    /// The last tick, and until when leases do not end because the coordinator stood still.
-    last_tick: Option<u64>,
-    pub(super) patient_until: u64,
-    /// No time of an event is earlier.
-    pub(super) clock: u64,
+    pub(super) roster: Roster,
+    pub(super) deaths: Deaths,
+    pub(super) leases: Leases,
+    pub(super) queues: Queues,
+    pub(super) trust: Trust,
+    pub(super) time: Time,
+    /// The effects of the current event.
     pub(super) effects: Vec<Effect>,
 }
 
 impl Scheduler {
-    /// A scheduler without jobs and workers.
+    /// Creates a scheduler without jobs and workers.
     pub fn new(settings: Settings) -> Self {
         Self {
             random: SplitMix64::named(&[settings.seed, settings.epoch.0]),
             settings,
-            next_lease: 1,
-            next_worker: 1,
             jobs: BTreeMap::new(),
-            workers: BTreeMap::new(),
-            leases: BTreeMap::new(),
-            names: BTreeMap::new(),
-            instances: BTreeMap::new(),
-            missing: BTreeMap::new(),
-            deaths: VecDeque::new(),
-            recording: BTreeMap::new(),
-            crews: BTreeMap::new(),
-            accounts: BTreeMap::new(),
-            pools: Pools::default(),
-            timers: BTreeSet::new(),
-            graces: BTreeMap::new(),
             only: None,
-            paused_until: None,
-            spotted: BTreeSet::new(),
-            suspects: BTreeMap::new(),
-            quarantined: BTreeSet::new(),
-            unsaid: Vec::new(),
-            last_tick: None,
-            patient_until: 0,
-            clock: 0,
+            roster: Roster::default(),
+            deaths: Deaths::default(),
+            leases: Leases::default(),
+            queues: Queues::default(),
+            trust: Trust::default(),
+            time: Time::default(),
             effects: Vec::new(),
         }
     }
 
-    /// Takes an event in, and gives what is to be done.
+    /// Handles an event and returns the effects that the caller must execute.
     pub fn step(&mut self, event: Event, now: Now) -> Vec<Effect> {
-        self.clock = self.clock.max(now.ms);
+        self.time.clock = self.time.clock.max(now.ms);
         let now = Now {
-            ms: self.clock,
+            ms: self.time.clock,
             ..now
         };
         if let Some(worker) = self.speaker(&event) {
@@ -246,7 +278,7 @@ impl Scheduler {
                 reason,
                 dead: None,
             } => {
-                self.judge(job, tile, (on, false), &reason);
+                self.judge(job, tile, on, false, &reason);
             }
             Event::FailureRecorded {
                 job,
@@ -277,7 +309,7 @@ impl Scheduler {
         std::mem::take(&mut self.effects)
     }
 
-    /// The worker whose message an event is.
+    /// Returns the worker whose message an event is.
     fn speaker(&self, event: &Event) -> Option<WorkerId> {
         match event {
             Event::Wanted(worker, _)
@@ -285,9 +317,11 @@ impl Scheduler {
             | Event::Failed(worker, _)
             | Event::Timed(worker, ..)
             | Event::Helped(worker, _) => Some(*worker),
-            Event::Progressed(progress) => self.leases.get(&progress.lease.id).map(|l| l.worker),
+            Event::Progressed(progress) => {
+                self.leases.table.get(&progress.lease.id).map(|l| l.worker)
+            }
             Event::Committed { lease, .. } | Event::Checked { lease, .. } => {
-                self.leases.get(&lease.id).map(|l| l.worker)
+                self.leases.table.get(&lease.id).map(|l| l.worker)
             }
             _ => None,
         }
@@ -302,24 +336,34 @@ impl Scheduler {
     }
 
     pub(super) fn set_timer(&mut self, at: u64, timer: Timer) {
-        self.timers.insert((at, timer));
+        self.time.timers.insert((at, timer));
     }
 
-    /// Grants no tiles for a while.
+    /// Pauses the granting of tiles.
     pub(super) fn pause_leasing(&mut self, now: Now) {
         let until = now.ms + PAUSE;
-        self.paused_until = Some(until);
+        self.time.paused_until = Some(until);
         self.set_timer(until, Timer::Leasing);
     }
 
     /// Fires the timers whose time has come.
     fn tick(&mut self, now: Now) {
-        if self.last_tick.is_some_and(|last| now.ms - last > STALLED) {
-            self.patient_until = now.ms + AFTER_STALL;
+        if self
+            .time
+            .last_tick
+            .is_some_and(|last| now.ms - last > STALLED)
+        {
+            self.time.patient_until = now.ms + AFTER_STALL;
         }
-        self.last_tick = Some(now.ms);
-        while let Some((at, timer)) = self.timers.first().copied().filter(|(at, _)| *at <= now.ms) {
-            self.timers.remove(&(at, timer));
+        self.time.last_tick = Some(now.ms);
+        while let Some((at, timer)) = self
+            .time
+            .timers
+            .first()
+            .copied()
+            .filter(|(at, _)| *at <= now.ms)
+        {
+            self.time.timers.remove(&(at, timer));
             self.fire(timer, now);
         }
         self.find_stragglers(now);
@@ -341,8 +385,8 @@ impl Scheduler {
                     self.assemble_if_complete(id);
                 }
             }
-            Timer::Deaf(id) => {
-                if let Some(w) = self.workers.get_mut(&id)
+            Timer::Backpressure(id) => {
+                if let Some(w) = self.roster.workers.get_mut(&id)
                     && w.backpressured_until.is_some_and(|until| until <= now.ms)
                 {
                     w.backpressured_until = None;
@@ -350,41 +394,44 @@ impl Scheduler {
                 }
             }
             Timer::Leasing => {
-                if self.paused_until.is_some_and(|until| until <= now.ms) {
-                    self.paused_until = None;
+                if self.time.paused_until.is_some_and(|until| until <= now.ms) {
+                    self.time.paused_until = None;
                 }
             }
         }
     }
 
-    /// Returns the facts for checking an output that arrives under a lease, and whether the output counts.
+    /// Returns the facts for checking an output that arrives under a lease, and the permitted use of the
+    /// output.
     ///
-    /// An output counts if the lease was given, however long ago, to a worker that is not quarantined. The
+    /// An output counts if the lease was given, at any time, to a worker that is not quarantined. The
     /// scheduler knows the holder of a lease of this epoch. A lease of an earlier epoch is accepted: its tag,
-    /// which the caller has checked, proves that it was given. Its output is the first of the tile, or the
-    /// same, or rejected. An output of a done tile can only be compared with the one that stays. None counts
-    /// that was leased before tiles of the job were opened again: it may be computed from them.
+    /// which the caller has checked, proves that it was given. Its output becomes the tile's first output, or
+    /// equals the tile's output, or is rejected. An output of a done tile can only be compared with the
+    /// stored one. An output does not count if its lease was given before tiles of the job were reopened,
+    /// because it may be computed from those tiles.
     ///
     /// # Errors
-    /// The reason, when there is no such tile.
-    pub fn admit(&self, lease: &Lease) -> Result<Admitted, NoTile> {
+    /// The reason, if the tile does not exist.
+    pub fn admit(&self, lease: &Lease) -> Result<Admission, NoTile> {
         let job = self.jobs.get(&lease.job).ok_or(NoTile::NoJob(lease.job))?;
         let tile = job.tiles.get(lease.tile.at()).ok_or(NoTile::NoTile)?;
         let given = Some(lease.id.number).filter(|_| lease.id.epoch == self.settings.epoch);
         let given = given.and_then(|number| job.given_to(number, lease.tile));
-        // Who had a lease of an earlier epoch is known if it was claimed. Where results are checked, others
-        // do not count: nobody could be asked for them.
+        // The holder of a lease of an earlier epoch is known if the lease was claimed. If results are
+        // checked, unclaimed leases do not count, because no worker would be responsible for them.
         let holder = self
             .leases
+            .table
             .get(&lease.id)
             .filter(|l| (l.job, l.tile) == (lease.job, lease.tile));
         let holder = holder
-            .and_then(|l| self.workers.get(&l.worker))
+            .and_then(|l| self.roster.workers.get(&l.worker))
             .map(|w| Name::clone(&w.signature));
-        let trusting = self.settings.spot_check <= 0.0 && self.quarantined.is_empty();
+        let trusting = self.settings.spot_check <= 0.0 && self.trust.quarantined.is_empty();
         let earlier = lease.id.epoch < self.settings.epoch && (trusting || holder.is_some());
         let given = given.or(holder);
-        let is_good = |name: &Name| !self.quarantined.contains(name);
+        let is_good = |name: &Name| !self.trust.quarantined.contains(name);
         let is_clean = given.as_ref().is_none_or(is_good) && tile.contributors.iter().all(is_good);
         let is_kept = (earlier || given.is_some()) && is_clean;
         let counts =
@@ -396,46 +443,47 @@ impl Scheduler {
             .filter(|name| ***name != *worker)
             .map(|name| name.to_string())
             .collect();
-        let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
-        let profile = job.record.profile.clone().unwrap_or_default();
-        Ok(Admitted {
-            work: Arc::clone(&job.work),
-            worker,
-            helpers,
-            profile,
-            checks,
-            counts,
+        let is_check = self.leases.table.get(&lease.id).is_some_and(|l| l.checks);
+        let right = match (counts, is_check) {
+            (false, _) => Right::Stale,
+            (true, true) => Right::Compare { worker },
+            (true, false) => Right::Keep { worker, helpers },
+        };
+        Ok(Admission {
+            job: Arc::clone(&job.planned),
+            profile: job.record.profile.clone().unwrap_or_default(),
+            right,
         })
     }
 
-    /// A job that has not ended.
-    pub fn job(&self, id: JobId) -> Option<&Job> {
+    /// Returns a job that has not ended.
+    pub fn job(&self, id: JobId) -> Option<&OpenJob> {
         self.jobs.get(&id)
     }
 
-    /// The jobs that have not ended.
+    /// Returns the ids of the jobs that have not ended.
     pub fn job_ids(&self) -> Vec<JobId> {
         self.jobs.keys().copied().collect()
     }
 
-    /// The number of connected workers.
+    /// Returns the number of connected workers.
     pub fn workers(&self) -> u32 {
-        self.workers.len() as u32
+        self.roster.workers.len() as u32
     }
 
-    /// Ends a job here, with its leases.
+    /// Removes a job from the scheduler and ends its leases.
     pub(super) fn drop_job(&mut self, id: JobId) {
         self.revoke_job(id);
         self.unlist_job(id);
-        self.spotted.retain(|(job, _)| *job != id);
+        self.trust.spotted.retain(|(job, _)| *job != id);
         self.clear_suspects(id, None);
         if let Some(job) = self.jobs.remove(&id) {
-            self.close_account(&job.whom.user);
+            self.close_account(&job.key.user);
         }
         self.tell_watchers(id);
     }
 
-    /// Starts assembling a job whose tiles are complete.
+    /// Starts assembling the result of a job whose tiles are complete.
     pub(super) fn assemble_if_complete(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
@@ -447,8 +495,8 @@ impl Scheduler {
         }
     }
 
-    /// Whether the job may be worked on.
-    pub(super) fn allowed(&self, job: &Job) -> bool {
+    /// Returns true if tiles of the job may be leased.
+    pub(super) fn allowed(&self, job: &OpenJob) -> bool {
         matches!(
             job.record.state.phase(),
             JobPhase::Queued | JobPhase::Running
@@ -456,28 +504,48 @@ impl Scheduler {
     }
 }
 
-/// See [`Scheduler::admit`].
+/// The facts for checking an output that arrives under a lease; see [`Scheduler::admit`].
 #[derive(Debug)]
-pub struct Admitted {
-    /// What the job computes.
-    pub work: Arc<PlannedJob>,
-    /// The signature of the worker that got the lease; empty when that is not known.
-    pub worker: String,
-    /// Others who had a hand in the tile.
-    pub helpers: Vec<String>,
+pub struct Admission {
+    /// The planned job of the lease.
+    pub job: Arc<PlannedJob>,
     /// The numerics profile of the job.
     pub profile: String,
-    /// Whether the lease is the check of a done tile, so that the output is compared and not kept.
-    pub checks: bool,
-    /// Whether the output counts.
-    pub counts: bool,
+    /// The permitted use of the output.
+    pub right: Right,
 }
 
-/// A lease on something that does not exist.
+impl Admission {
+    /// Returns true if the output counts.
+    pub fn counts(&self) -> bool {
+        !matches!(self.right, Right::Stale)
+    }
+}
+
+/// The permitted use of an output that arrives under a lease.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Right {
+    /// The output becomes the output of its tile, unless the tile already has one.
+    Keep {
+        /// The signature of the worker that holds or held the lease; empty if the worker is unknown.
+        worker: String,
+        /// The signatures of the other workers that contributed to the tile.
+        helpers: Vec<String>,
+    },
+    /// The lease is the check of a done tile: the output is compared with the tile's output.
+    Compare {
+        /// The signature of the worker that holds or held the lease; empty if the worker is unknown.
+        worker: String,
+    },
+    /// The output does not count.
+    Stale,
+}
+
+/// An error about a lease on a job or tile that does not exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoTile {
     /// The job has ended or does not exist.
     NoJob(JobId),
-    /// The job has fewer tiles.
+    /// The job has no tile with this index.
     NoTile,
 }

@@ -1,4 +1,4 @@
-//! Who gets which tile: two workers, two tiles, a memory store.
+//! Tests of the assignment of tiles, with two workers, two tiles and a memory store.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use sightline_store::{MemoryStore, Queries as _, Store as _};
 
 use super::*;
 
-/// Returns the grid of cells of the unit cube that tests use, in tiles of at most `tile_cells` cells.
+/// Returns a grid of cells of the unit cube, in tiles of at most `tile_cells` cells.
 pub(super) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
     let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
     let tile_cells = TileCells::new(tile_cells).unwrap();
@@ -45,7 +45,7 @@ pub(super) fn lines(scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
     }
 }
 
-/// A machine, a store whose commands are carried out at once, and what the workers were told.
+/// A scheduler, a store that executes commands at once, and the commands sent to the workers.
 pub(super) struct Bench {
     pub(super) scheduler: Scheduler,
     pub(super) store: MemoryStore,
@@ -54,9 +54,9 @@ pub(super) struct Bench {
     answer: Option<Result<Joined, NameTaken>>,
     departure: Option<Departure>,
     pub(super) notes: Vec<Note>,
-    /// Whether commands that record deaths wait in `ran`.
+    /// True if commands that record deaths wait in `ran`.
     pub(super) holds_deaths: bool,
-    /// Commands about checks, deaths that wait, and jobs that were complete.
+    /// The commands about checks and waiting deaths.
     pub(super) ran: Vec<StoreCommand>,
     pub(super) assembled: Vec<JobId>,
 }
@@ -80,7 +80,7 @@ impl Bench {
             },
         ) {
             match effect {
-                Effect::Tell(worker, order) => self.told.entry(worker).or_default().push(order),
+                Effect::Tell(worker, command) => self.told.entry(worker).or_default().push(command),
                 Effect::Joined(answer) => self.answer = Some(answer),
                 Effect::Left(how) => self.departure = Some(how),
                 Effect::Note(note) => self.notes.push(note),
@@ -181,7 +181,7 @@ impl Bench {
         self.departure.take().unwrap()
     }
 
-    /// The store changes the state of a job.
+    /// Changes the state of a job in the store.
     pub(super) fn set(&mut self, job: JobId, from: &[JobPhase], to: JobState) {
         let record = self.store.set_job_state(job, from, to, self.ms).unwrap();
         self.step(Event::JobChanged(Box::new(record)));
@@ -191,7 +191,7 @@ impl Bench {
         self.step(Event::Wanted(worker, tiles));
     }
 
-    /// Seconds pass.
+    /// Lets this many seconds pass, with a tick per second.
     pub(super) fn wait(&mut self, seconds: u64) {
         for _ in 0..seconds {
             self.ms += 1000;
@@ -199,11 +199,11 @@ impl Bench {
         }
     }
 
-    /// The worker that has each tile of the first job.
+    /// Returns the holder of each tile of the first job.
     pub(super) fn holders(&self) -> Vec<Option<WorkerId>> {
         let tiles = self.scheduler.jobs.values().next().unwrap().tiles.iter();
         tiles
-            .map(|t| t.leases[0].map(|l| self.scheduler.leases[&l].worker))
+            .map(|t| t.leases[0].map(|l| self.scheduler.leases.table[&l].worker))
             .collect()
     }
 
@@ -231,19 +231,20 @@ impl Bench {
     }
 }
 
-/// A scheduler with a job of two tiles, and its store.
+/// Creates a scheduler and a store with a job of two tiles.
 pub(super) fn two_tiles() -> Bench {
     with_grace(false)
 }
 
-/// The same; with `grace` an earlier epoch may have leased the tiles.
+/// Creates a scheduler and a store with a job of two tiles. With `grace`, an earlier epoch may have leased
+/// the tiles.
 pub(super) fn with_grace(grace: bool) -> Bench {
     let mut bench = empty(if grace { 2 } else { 1 });
     bench.add(2, "", 0, grace);
     bench
 }
 
-/// A scheduler without jobs.
+/// Creates a scheduler without jobs.
 pub(super) fn empty(epoch: u64) -> Bench {
     let store = MemoryStore::new();
     store
@@ -273,17 +274,17 @@ pub(super) fn empty(epoch: u64) -> Bench {
 }
 
 impl Bench {
-    /// Takes up a job of the store, as after a restart.
+    /// Adds a job of the store to the scheduler, as after a restart.
     pub(super) fn reopen(&mut self, id: JobId) {
         let record = self.store.job(id).unwrap().unwrap();
         let spec = sightline_proto::v1::JobSpec::decode(record.spec.as_slice()).unwrap();
         let spec = JobSpec::from_message(&spec, &SceneFacts::default()).unwrap();
-        let work = Arc::new(PlannedJob::stored(spec));
-        let job = Job::new(record, work, self.store.tiles(id).unwrap()).unwrap();
+        let planned = Arc::new(PlannedJob::stored(spec));
+        let job = OpenJob::new(record, planned, self.store.tiles(id).unwrap()).unwrap();
         self.step(Event::TakenUp(Box::new(job.after_restart())));
     }
 
-    /// A user submits a job of `tiles` tiles; with `ran` it ran before the coordinator started.
+    /// Submits a job of `tiles` tiles. With `ran`, the job ran before the coordinator started.
     pub(super) fn add(&mut self, tiles: u32, user: &str, priority: i32, ran: bool) -> JobId {
         let seed = self.store.jobs().unwrap().len() as u64;
         let spec = lines([7; 32], grid([tiles, 1, 1], 1), seed);
@@ -308,8 +309,8 @@ impl Bench {
                 .unwrap();
         }
         let record = self.store.job(id).unwrap().unwrap();
-        let work = Arc::new(PlannedJob::stored(spec));
-        let job = Job::new(record, work, self.store.tiles(id).unwrap()).unwrap();
+        let planned = Arc::new(PlannedJob::stored(spec));
+        let job = OpenJob::new(record, planned, self.store.tiles(id).unwrap()).unwrap();
         let job = if ran { job.after_restart() } else { job };
         self.step(Event::TakenUp(Box::new(job)));
         id
@@ -330,7 +331,7 @@ fn introduction(name: &str, instance: u64) -> Introduction {
 }
 
 #[test]
-fn no_worker_gets_a_second_tile_while_another_has_none() {
+fn worker_gets_no_second_tile_while_another_has_none() {
     let mut b = two_tiles();
     let (one, two) = (b.join("a"), b.join("b"));
     b.want(one, 2);
@@ -340,7 +341,7 @@ fn no_worker_gets_a_second_tile_while_another_has_none() {
 }
 
 #[test]
-fn a_worker_that_joins_late_takes_over_a_queued_tile_of_a_busy_worker() {
+fn late_worker_takes_over_waiting_tile_of_busy_worker() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 2);
@@ -358,32 +359,34 @@ fn a_worker_that_joins_late_takes_over_a_queued_tile_of_a_busy_worker() {
 }
 
 #[test]
-fn a_second_worker_of_one_name_is_refused_and_the_same_worker_may_reconnect() {
+fn name_in_use_is_rejected_but_same_worker_may_reconnect() {
     let mut b = two_tiles();
     let first = b.try_join("a", 1, Vec::new()).unwrap().worker;
     let refused = b.try_join("a", 2, Vec::new()).unwrap_err();
     assert!(
-        refused.to_string().contains("give this one another --name"),
+        refused
+            .to_string()
+            .contains("give this worker another --name"),
         "{refused}"
     );
     b.try_join("b", 2, Vec::new()).unwrap();
-    // Workers that send no instance cannot be told from reconnecting ones.
+    // Workers that send no instance cannot be distinguished from reconnecting workers.
     b.try_join("a", 0, Vec::new()).unwrap();
     b.want(first, 1);
     let lease = b.grants(first)[0];
-    // Before the coordinator has noticed that the earlier stream is broken.
+    // The coordinator has not noticed yet that the earlier stream is broken.
     let again = b.try_join("a", 1, vec![lease]).unwrap();
     assert_eq!(again.kept, [lease]);
     b.leave(first);
     assert_eq!(b.holders(), [Some(again.worker), None]);
-    assert!(b.scheduler.workers.contains_key(&again.worker));
-    // The name is free when its worker has gone.
+    assert!(b.scheduler.roster.workers.contains_key(&again.worker));
+    // The name is free after its worker has left.
     b.leave(again.worker);
     b.try_join("a", 3, Vec::new()).unwrap();
 }
 
 #[test]
-fn a_departure_says_whether_the_worker_had_drained() {
+fn departure_reports_drained_worker() {
     let mut b = two_tiles();
     let (one, two) = (b.join("a"), b.join("b"));
     b.step(Event::Drains(one));
@@ -398,7 +401,7 @@ fn a_departure_says_whether_the_worker_had_drained() {
 }
 
 #[test]
-fn a_draining_worker_keeps_the_tile_that_it_has_begun_when_its_stream_breaks() {
+fn draining_worker_keeps_begun_tile_after_broken_stream() {
     let mut b = two_tiles();
     let (one, two) = (b.join("a"), b.join("b"));
     b.want(one, 1);
@@ -417,7 +420,7 @@ fn a_draining_worker_keeps_the_tile_that_it_has_begun_when_its_stream_breaks() {
         b.grants(two)
     );
     assert_eq!(b.try_join("a", 0, vec![begun]).unwrap().kept, [begun]);
-    // One that it had not begun goes to the next worker at once.
+    // A tile that the worker had not begun goes to the next worker at once.
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
@@ -429,7 +432,7 @@ fn a_draining_worker_keeps_the_tile_that_it_has_begun_when_its_stream_breaks() {
 }
 
 #[test]
-fn a_lease_ends_two_seconds_after_its_workers_stream_unless_the_worker_returns() {
+fn lease_ends_two_seconds_after_stream_unless_worker_returns() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
@@ -437,7 +440,7 @@ fn a_lease_ends_two_seconds_after_its_workers_stream_unless_the_worker_returns()
     b.leave(one);
     b.wait(1);
     assert_eq!(b.holders()[0], Some(one));
-    // The worker returned in time: the lease belongs to its new number, and lives on.
+    // The worker returned in time: the lease belongs to its new number, and continues.
     let two = b.try_join("a", 0, vec![lease]).unwrap().worker;
     b.wait(9);
     assert_eq!(b.holders()[0], Some(two));
@@ -449,15 +452,14 @@ fn a_lease_ends_two_seconds_after_its_workers_stream_unless_the_worker_returns()
     b.leave(two);
     b.wait(2);
     assert_eq!(b.holders()[0], None);
-    let why =
-        |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not come back"));
+    let why = |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not return"));
     assert!(b.notes.iter().any(why), "{:?}", b.notes);
-    // A worker that comes later still has its tile when nobody else has.
+    // A worker that returns later keeps its tile if no other worker has it.
     assert_eq!(b.try_join("a", 0, vec![lease]).unwrap().kept, [lease]);
 }
 
 #[test]
-fn a_tile_without_progress_is_taken_back() {
+fn tile_without_progress_is_revoked() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
@@ -482,12 +484,12 @@ fn a_tile_without_progress_is_taken_back() {
     assert!(b.notes.contains(&Note::TakenBack(
         lease,
         Some("a".to_owned()),
-        "it makes no progress"
+        "the tile makes no progress"
     )));
 }
 
 #[test]
-fn a_standstill_of_the_coordinator_ends_no_lease() {
+fn standstill_of_coordinator_ends_no_lease() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
@@ -506,7 +508,7 @@ fn a_standstill_of_the_coordinator_ends_no_lease() {
 }
 
 #[test]
-fn the_profile_of_most_workers_is_chosen() {
+fn job_binds_to_profile_of_most_workers() {
     let mut b = two_tiles();
     for (name, profile) in [("a", "cpu/rare"), ("b", "cpu/common"), ("c", "cpu/common")] {
         let intro = Introduction {
@@ -527,7 +529,7 @@ fn the_profile_of_most_workers_is_chosen() {
 }
 
 #[test]
-fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
+fn straggler_gets_second_lease_and_first_output_counts() {
     let mut b = two_tiles();
     let (one, two) = (b.join("a"), b.join("b"));
     b.want(one, 1);
@@ -565,7 +567,7 @@ fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
     });
     assert_eq!(b.told[&one].last(), Some(&WorkerCommand::Revoke(slow)));
     assert!(
-        b.scheduler.admit(&slow).unwrap().counts,
+        b.scheduler.admit(&slow).unwrap().counts(),
         "a late output is compared with the first"
     );
 }

@@ -2,17 +2,17 @@
 
 use sightline_records::ids::JobId;
 
-use super::job::{Job, Output, Tile};
+use super::job::{OpenJob, Output, Tile};
 use super::state::{Leased, Scheduler};
 
-/// The state of a tile. The numbers are the numbers of `v1::TileState`.
+/// The state of a tile. The values equal the values of `v1::TileState`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TileStatus {
-    /// The tile waits for other tiles, or for the end of a delay.
+    /// The tile waits for other tiles or for the end of a delay, or its job leases no tiles.
     Waiting = 1,
     /// A worker may get the tile.
     Ready = 2,
-    /// A worker has the tile and has not begun it.
+    /// A worker holds the tile and has not begun it.
     Leased = 3,
     /// A worker computes the tile.
     Running = 4,
@@ -22,37 +22,38 @@ pub enum TileStatus {
     SetAside = 6,
 }
 
-/// A tile of a job that has not ended.
+/// A tile of a job that has not ended, for display.
 #[derive(Clone, Debug)]
 pub struct Live {
-    pub standing: TileStatus,
-    /// Cells and samples that its worker has reported.
+    pub status: TileStatus,
+    /// The number of finished cells that the tile's worker has reported.
     pub cells: u64,
+    /// The number of samples that the tile's worker has reported.
     pub samples: u64,
-    /// The workers that hold it, by name.
+    /// The names of the workers that hold the tile.
     pub workers: Vec<String>,
 }
 
 impl Scheduler {
-    /// How all tiles of a job stand, in their order; `None` for a job that has ended.
-    pub fn standings(&self, id: JobId) -> Option<Vec<TileStatus>> {
+    /// Returns the states of a job's tiles in plan order, or `None` for an ended job.
+    pub fn tile_statuses(&self, id: JobId) -> Option<Vec<TileStatus>> {
         let job = self.jobs.get(&id)?;
         Some(
             job.tiles
                 .iter()
-                .map(|tile| self.standing(job, tile))
+                .map(|tile| self.tile_status(job, tile))
                 .collect(),
         )
     }
 
-    /// Some tiles of a job that has not ended.
+    /// Returns the tiles of a job with indices in `range`, or `None` if the job has ended or has fewer tiles.
     pub fn live_tiles(&self, id: JobId, range: std::ops::Range<usize>) -> Option<Vec<Live>> {
         let job = self.jobs.get(&id)?;
         let live = |tile: &Tile| {
             let leases: Vec<&Leased> = self.leases_of(tile).collect();
             let name = |lease: &&Leased| self.name_of(lease.worker).map(str::to_owned);
             Live {
-                standing: self.standing(job, tile),
+                status: self.tile_status(job, tile),
                 cells: leases.iter().map(|l| l.cells).max().unwrap_or(0),
                 samples: leases.iter().map(|l| l.samples).max().unwrap_or(0),
                 workers: leases.iter().filter_map(name).collect(),
@@ -61,7 +62,7 @@ impl Scheduler {
         Some(job.tiles.get(range)?.iter().map(live).collect())
     }
 
-    fn standing(&self, job: &Job, tile: &Tile) -> TileStatus {
+    fn tile_status(&self, job: &OpenJob, tile: &Tile) -> TileStatus {
         match tile.output {
             Output::Done(_) => TileStatus::Done,
             Output::SetAside(_) => TileStatus::SetAside,
@@ -82,6 +83,6 @@ impl Scheduler {
         tile.leases
             .iter()
             .flatten()
-            .filter_map(|id| self.leases.get(id))
+            .filter_map(|id| self.leases.table.get(id))
     }
 }

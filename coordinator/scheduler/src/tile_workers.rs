@@ -1,41 +1,43 @@
-//! Who works on a job's tiles at present: for people.
+//! The workers that currently compute a job's tiles, for display.
 
 use sightline_records::ids::{JobId, TileIndex, WorkerId};
 
 use super::state::Scheduler;
 
-/// Tiles that are listed.
+/// Maximum number of listed tiles.
 const MOST_TILES: usize = 20;
 
 /// A leased tile and its workers, by name.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Team {
-    /// The tile.
+pub struct TileWorkers {
+    /// The leased tile.
     pub tile: TileIndex,
-    /// The worker that holds the tile.
+    /// The name of the worker that holds the tile.
     pub leader: String,
-    /// Whether it has begun; if not, it fetches the scene or is busy with another tile.
+    /// True if the worker has begun the tile; otherwise it fetches the scene or computes another tile.
     pub has_begun: bool,
-    /// Those that help it.
+    /// The names of the workers that help with the tile.
     pub helpers: Vec<String>,
 }
 
 impl Scheduler {
-    /// The first leased tiles of a job with their workers; none for a job that has ended.
-    pub fn teams(&self, id: JobId) -> Vec<Team> {
+    /// Returns the first 20 leases on a job's tiles with their workers, or an empty list if the job has
+    /// ended.
+    pub fn tile_workers(&self, id: JobId) -> Vec<TileWorkers> {
         let Some(job) = self.jobs.get(&id) else {
             return Vec::new();
         };
-        let name = |id: &WorkerId| self.workers.get(id).map(|w| w.name.clone());
+        let name = |id: &WorkerId| self.roster.workers.get(id).map(|w| w.name.clone());
         let leased = job.tiles.iter().flat_map(|tile| tile.leases).flatten();
         leased
             .filter_map(|id| {
-                let lease = self.leases.get(&id)?;
+                let lease = self.leases.table.get(&id)?;
                 let helpers = self
+                    .queues
                     .crews
                     .get(&id)
                     .map(|crew| crew.helpers.keys().filter_map(name).collect());
-                Some(Team {
+                Some(TileWorkers {
                     tile: lease.tile,
                     leader: name(&lease.worker)?,
                     has_begun: lease.begun.is_some(),

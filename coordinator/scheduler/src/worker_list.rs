@@ -9,11 +9,11 @@ use super::worker_totals::WorkerTotals;
 /// A connected worker.
 #[derive(Clone, Debug)]
 pub struct WorkerStatus {
-    /// The name.
+    /// The name of the worker.
     pub name: String,
-    /// The version of the program.
+    /// The version of the worker's program.
     pub version: String,
-    /// The numerics profiles of its tracers.
+    /// The numerics profiles of the worker's tracers.
     pub profiles: Vec<String>,
     /// The time of the connection, in milliseconds since 1970.
     pub connected_at: u64,
@@ -23,20 +23,20 @@ pub struct WorkerStatus {
     pub draining: bool,
     /// The reason why the worker gets no tiles although it requests some.
     pub trouble: Option<&'static str>,
-    /// The leased tiles.
+    /// The tiles leased to the worker.
     pub tiles: Vec<LeasedTile>,
-    /// The tile with which the worker helps another one.
+    /// The tile of another worker that this worker helps with.
     pub helps: Option<LeasedTile>,
-    /// The totals of its finished work.
+    /// The totals of the worker's finished tiles.
     pub done: WorkerTotals,
 }
 
-/// A tile that a worker computes or waits with.
+/// A tile that a worker computes, or that waits at the worker.
 #[derive(Clone, Copy, Debug)]
 pub struct LeasedTile {
-    /// The job.
+    /// The job of the tile.
     pub job: JobId,
-    /// The tile.
+    /// The index of the tile in the job.
     pub tile: TileIndex,
     /// True if the worker has begun the tile.
     pub has_begun: bool,
@@ -49,35 +49,40 @@ pub struct LeasedTile {
 }
 
 impl Scheduler {
-    /// Why a worker gets no tiles although it asks for some.
+    /// Returns the reason why a worker gets no tiles although it requests some.
     pub(super) fn trouble(&self, worker: &Worker) -> Option<&'static str> {
-        if self.quarantined.contains(&worker.signature) {
-            return Some("it is quarantined: its bytes were not those of others");
-        }
-        if self.suspects.contains_key(&worker.signature) {
+        if self.trust.quarantined.contains(&worker.signature) {
             return Some(
-                "another worker has computed other bytes; a third one has to say who is right",
+                "the worker is quarantined, because its bytes differed from the bytes of other \
+                 workers",
             );
         }
-        if worker.silent {
-            return Some("its last lease ran out, and it has said nothing since");
+        if self.trust.suspects.contains_key(&worker.signature) {
+            return Some(
+                "another worker computed different bytes for a tile; a third worker must compute the tile",
+            );
+        }
+        if worker.unresponsive {
+            return Some(
+                "the worker's last lease expired, and the worker has requested no tile since",
+            );
         }
         worker
             .backpressured_until
-            .map(|_| "it does not read the orders that it is sent")
+            .map(|_| "the worker does not read the commands that the coordinator sends")
     }
 
-    /// Notes that a worker has said something.
+    /// Records that a worker has sent a message.
     pub(super) fn hear(&mut self, id: WorkerId, now: Now) {
-        if let Some(worker) = self.workers.get_mut(&id) {
+        if let Some(worker) = self.roster.workers.get_mut(&id) {
             worker.heard = now.unix_ms;
             worker.unheard = None;
         }
     }
 
-    /// The connected workers, by name.
+    /// Returns the connected workers, by name.
     pub fn roster(&self, now: Now) -> Vec<WorkerStatus> {
-        let held = |id: &LeaseId| self.leases.get(id).map(|lease| held(lease, now));
+        let held = |id: &LeaseId| self.leases.table.get(id).map(|lease| held(lease, now));
         let member = |worker: &Worker| WorkerStatus {
             name: worker.name.clone(),
             version: worker.version.clone(),
@@ -90,14 +95,17 @@ impl Scheduler {
             helps: worker.helps.and_then(|lease| held(&lease.id)),
             done: worker.done,
         };
-        let mut all: Vec<WorkerStatus> = self.workers.values().map(member).collect();
+        let mut all: Vec<WorkerStatus> = self.roster.workers.values().map(member).collect();
         all.sort_by(|a, b| a.name.cmp(&b.name));
         all
     }
 
-    /// The name of a connected worker.
+    /// Returns the name of a connected worker.
     pub fn name_of(&self, id: WorkerId) -> Option<&str> {
-        self.workers.get(&id).map(|worker| worker.name.as_str())
+        self.roster
+            .workers
+            .get(&id)
+            .map(|worker| worker.name.as_str())
     }
 }
 

@@ -1,8 +1,8 @@
-//! What a worker did since it connected.
+//! The work of a worker since it connected.
 
 use sightline_records::TileStats;
 
-/// Finished tiles and what they took.
+/// The number of finished tiles, and their total cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkerTotals {
     pub tiles: u64,

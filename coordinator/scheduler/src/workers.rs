@@ -1,4 +1,4 @@
-//! Workers come, ask for tiles, and go.
+//! Transitions of workers: they join, request tiles, and leave.
 
 use std::collections::BTreeSet;
 
@@ -13,14 +13,16 @@ use super::profile_choice::{Binding, profile_for};
 use super::state::{Scheduler, Timer, Worker};
 use super::worker_totals::WorkerTotals;
 
-/// How long a worker that did not take an order gets none, in milliseconds.
+/// The time for which a worker that could not receive a command gets none, in milliseconds.
 const BACKPRESSURE_MS: u64 = 1000;
-/// Tiles that a worker may hold: one that it works on and one that it fetches.
+/// Maximum number of tiles that a worker may hold: one that it computes and one that it fetches.
 pub(super) const MOST_HELD: u32 = 2;
 
 impl Scheduler {
-    /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
-    /// stream; workers that send no instance are all accepted.
+    /// Adds a worker whose stream has begun.
+    ///
+    /// If the same worker, identified by its instance, is connected, the new stream replaces its earlier
+    /// stream. A worker that sends no instance is accepted and replaces no stream.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
         let Introduction {
             name,
@@ -32,23 +34,27 @@ impl Scheduler {
             helps,
         } = intro;
         if instance != 0 {
-            if let Some(other) = self.names.get(&name).and_then(|id| self.workers.get(id))
+            if let Some(other) = self
+                .roster
+                .names
+                .get(&name)
+                .and_then(|id| self.roster.workers.get(id))
                 && other.instance != instance
             {
                 self.effects.push(Effect::Joined(Err(NameTaken { name })));
                 return;
             }
             // The coordinator may not have noticed yet that the worker's earlier stream is broken.
-            if let Some(earlier) = self.instances.get(&instance).copied() {
+            if let Some(earlier) = self.roster.instances.get(&instance).copied() {
                 self.remove_worker(earlier, now, false);
             }
         }
         self.note_return(&name, instance);
-        let number = WorkerId(self.next_worker);
-        self.next_worker += 1;
+        self.roster.count += 1;
+        let number = WorkerId(self.roster.count);
         if instance != 0 {
-            self.names.insert(name.clone(), number);
-            self.instances.insert(instance, number);
+            self.roster.names.insert(name.clone(), number);
+            self.roster.instances.insert(instance, number);
         }
         let serves = |choice| !matches!(profile_for(choice, &profiles), Binding::Cannot);
         let mut of_choice = [false; CHOICES];
@@ -70,7 +76,7 @@ impl Scheduler {
             wants: 0,
             draining: false,
             backpressured_until: None,
-            silent: false,
+            unresponsive: false,
             unheard: None,
             leases: BTreeSet::new(),
             can_help: helps,
@@ -78,11 +84,11 @@ impl Scheduler {
             timing: BTreeSet::new(),
         };
         for profile in &worker.profiles {
-            let pool = self.pools.at(profile);
+            let pool = self.queues.pools.at(profile);
             pool.able += 1;
             pool.alone += u64::from(alone.as_deref() == Some(&**profile));
         }
-        self.workers.insert(number, worker);
+        self.roster.workers.insert(number, worker);
         let kept = self.claim(number, held, now);
         self.list_worker(number);
         let epoch = self.settings.epoch;
@@ -99,10 +105,12 @@ impl Scheduler {
         self.effects.push(Effect::Left(departure));
     }
 
-    /// Removes a worker. Its leases live a little longer, so that it can return for them; of a worker that
-    /// was draining, only the leases of tiles that it has begun. `is_missing`: it has not returned yet.
+    /// Removes a worker. Its leases continue for a grace period, so that the worker can return for them.
+    ///
+    /// If the worker was draining, only the leases of tiles that it has begun continue. `is_missing` is true
+    /// if the worker has not returned yet.
     fn remove_worker(&mut self, id: WorkerId, now: Now, is_missing: bool) -> Departure {
-        let Some(mut w) = self.workers.remove(&id) else {
+        let Some(mut w) = self.roster.workers.remove(&id) else {
             return Departure::Lost;
         };
         if is_missing && !w.draining {
@@ -112,35 +120,35 @@ impl Scheduler {
         if let Some(helped) = w.helps.take() {
             self.has_left(helped.id, id);
         }
-        if self.names.get(&w.name) == Some(&id) {
-            self.names.remove(&w.name);
+        if self.roster.names.get(&w.name) == Some(&id) {
+            self.roster.names.remove(&w.name);
         }
-        if self.instances.get(&w.instance) == Some(&id) {
-            self.instances.remove(&w.instance);
+        if self.roster.instances.get(&w.instance) == Some(&id) {
+            self.roster.instances.remove(&w.instance);
         }
         let profiles: Vec<String> = w.profiles.iter().map(|p| p.to_string()).collect();
         let alone = alone(&profiles);
         for profile in &w.profiles {
-            let pool = self.pools.at(profile);
+            let pool = self.queues.pools.at(profile);
             pool.able -= 1;
             pool.alone -= u64::from(alone.as_deref() == Some(&**profile));
         }
         let leases: Vec<LeaseId> = std::mem::take(&mut w.leases).into_iter().collect();
         for lease in leases {
-            let Some(l) = self.leases.get_mut(&lease) else {
+            let Some(l) = self.leases.table.get_mut(&lease) else {
                 continue;
             };
             l.gone = Some(now.ms);
             let begun = l.begun.is_some();
             self.stop_waiting(lease);
             if w.draining && !begun {
-                // It will not return for a tile that was granted while it announced that it drains.
+                // The worker will not return for a tile that was granted while it announced that it drains.
                 self.end_lease(lease, false);
             } else {
                 self.arm(lease);
             }
         }
-        w.profiles.iter().for_each(|p| self.pools.tidy(p));
+        w.profiles.iter().for_each(|p| self.queues.pools.tidy(p));
         let timed: Vec<_> = w.timing.iter().copied().collect();
         for job in timed {
             self.unpark(job, Parked::Timing(id));
@@ -152,20 +160,20 @@ impl Scheduler {
         }
     }
 
-    /// Notes that a worker wants this many more tiles.
+    /// Records that a worker requests this many additional tiles.
     pub(super) fn want(&mut self, worker: WorkerId, tiles: u32) {
-        if let Some(w) = self.workers.get_mut(&worker) {
-            // A worker that wants more than it may hold is at fault.
+        if let Some(w) = self.roster.workers.get_mut(&worker) {
+            // A worker that requests more tiles than it may hold is faulty.
             let room = MOST_HELD.saturating_sub(w.leases.len() as u32);
             w.wants = w.wants.saturating_add(tiles).min(room);
-            (w.silent, w.unheard) = (false, None);
+            (w.unresponsive, w.unheard) = (false, None);
             self.list_worker(worker);
         }
     }
 
-    /// Notes that a worker takes no more tiles.
+    /// Records that a worker accepts no further tiles.
     pub(super) fn drain(&mut self, worker: WorkerId) {
-        let Some(w) = self.workers.get_mut(&worker) else {
+        let Some(w) = self.roster.workers.get_mut(&worker) else {
             return;
         };
         w.wants = 0;
@@ -176,32 +184,33 @@ impl Scheduler {
         self.list_worker(worker);
     }
 
-    /// Gives a worker that did not take an order none for a while.
+    /// Sends no commands for a while to a worker that could not receive one.
     pub(super) fn backpressure(&mut self, worker: WorkerId, now: Now) {
-        if let Some(w) = self.workers.get_mut(&worker) {
+        if let Some(w) = self.roster.workers.get_mut(&worker) {
             w.backpressured_until = Some(now.ms + BACKPRESSURE_MS);
-            self.set_timer(now.ms + BACKPRESSURE_MS, Timer::Deaf(worker));
+            self.set_timer(now.ms + BACKPRESSURE_MS, Timer::Backpressure(worker));
             self.list_worker(worker);
         }
     }
 
-    /// Puts a worker into the lists in which it belongs now.
+    /// Adds a worker to the lists of idle, requesting and helping workers that it belongs to now, and removes
+    /// it from the others.
     pub(super) fn list_worker(&mut self, id: WorkerId) {
-        let Some(w) = self.workers.get(&id) else {
+        let Some(w) = self.roster.workers.get(&id) else {
             return;
         };
         let (idle, fit) = (
             w.leases.is_empty(),
             !w.draining && !self.is_barred(&w.signature),
         );
-        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.silent;
+        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.unresponsive;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];
         for (choice, serves) in w.serves.into_iter().enumerate() {
-            set(&mut self.pools.hungry[choice], id, hungry && serves);
+            set(&mut self.queues.pools.hungry[choice], id, hungry && serves);
         }
         for profile in &w.profiles {
-            let pool = self.pools.at(profile);
+            let pool = self.queues.pools.at(profile);
             let [without, with] = &mut pool.hungry;
             for (list, belongs) in [&mut pool.idle, without, with, &mut pool.helpers]
                 .into_iter()
@@ -213,11 +222,11 @@ impl Scheduler {
     }
 
     fn unlist_worker(&mut self, id: WorkerId, w: &Worker) {
-        for hungry in &mut self.pools.hungry {
+        for hungry in &mut self.queues.pools.hungry {
             hungry.remove(&id);
         }
         for profile in &w.profiles {
-            let pool = self.pools.at(profile);
+            let pool = self.queues.pools.at(profile);
             pool.idle.remove(&id);
             pool.helpers.remove(&id);
             pool.hungry.iter_mut().for_each(|h| {
@@ -226,13 +235,13 @@ impl Scheduler {
         }
     }
 
-    /// The index of a job's choice.
-    pub(super) fn choice_of(job: &super::job::Job) -> usize {
-        index(job.work.spec().tracer())
+    /// Returns the index of a job's tracer choice.
+    pub(super) fn choice_of(job: &super::job::OpenJob) -> usize {
+        index(job.planned.spec().tracer())
     }
 }
 
-/// Puts a worker into a list, or takes it out.
+/// Adds a worker to a list, or removes it from the list.
 fn set(list: &mut BTreeSet<WorkerId>, id: WorkerId, belongs: bool) {
     if belongs {
         list.insert(id);
@@ -241,7 +250,7 @@ fn set(list: &mut BTreeSet<WorkerId>, id: WorkerId, belongs: bool) {
     }
 }
 
-/// The only profile that `auto` considers for a worker with these profiles, if it considers one.
+/// Returns the only profile that `auto` considers for a worker with these profiles, or `None`.
 pub(super) fn alone(profiles: &[String]) -> Option<String> {
     match profile_for(Some(TracerChoice::Auto), profiles) {
         Binding::Bind(profile) => Some(profile),

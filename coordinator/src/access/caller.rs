@@ -1,26 +1,27 @@
-//! Callers, their scopes, and the scope that each call needs.
+//! Callers, scopes, and the scope that each call requires.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// What a token allows.
+/// A permission that a token grants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Scope {
-    /// To see one's own jobs and fetch their results.
+    /// Permission to read the user's own jobs and to download their results.
     Read,
-    /// That, and to send scenes, to submit jobs and to change one's own.
+    /// The permission `Read`, and permission to upload scenes, to submit jobs and to change the user's own
+    /// jobs.
     Submit,
-    /// To take tiles, to fetch what they need and to send their results.
+    /// Permission to lease tiles, to download their inputs and to upload their results.
     Worker,
-    /// Everything, on the jobs and scenes of all users.
+    /// Permission for every call, on the jobs and scenes of all users.
     Admin,
 }
 
 impl Scope {
-    /// All, from the least.
+    /// All scopes, in ascending order of permission.
     pub const ALL: [Self; 4] = [Self::Read, Self::Submit, Self::Worker, Self::Admin];
 }
 
@@ -51,12 +52,12 @@ impl FromStr for Scope {
 pub struct Scopes(u8);
 
 impl Scopes {
-    /// The set of these.
-    pub fn of(scopes: &[Scope]) -> Self {
+    /// Creates a set that contains the given scopes.
+    pub fn new(scopes: &[Scope]) -> Self {
         Self(scopes.iter().fold(0, |set, scope| set | 1 << *scope as u8))
     }
 
-    /// Those that the set names.
+    /// Returns the scopes in the set.
     pub fn named(self) -> Vec<Scope> {
         Scope::ALL
             .into_iter()
@@ -64,7 +65,8 @@ impl Scopes {
             .collect()
     }
 
-    /// Whether the set allows what a scope allows: who may submit may read, and `admin` may everything.
+    /// Returns true if the set grants the permissions of `scope`. `Submit` includes `Read`, and `Admin`
+    /// includes all scopes.
     pub fn include(self, scope: Scope) -> bool {
         let has = |scope: Scope| self.0 >> scope as u8 & 1 == 1;
         has(scope) || has(Scope::Admin) || scope == Scope::Read && has(Scope::Submit)
@@ -79,26 +81,27 @@ impl Serialize for Scopes {
 
 impl<'de> Deserialize<'de> for Scopes {
     fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        Ok(Self::of(&Vec::<Scope>::deserialize(from)?))
+        Ok(Self::new(&Vec::<Scope>::deserialize(from)?))
     }
 }
 
-/// Who makes a call.
+/// The identity of a caller.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Caller {
-    /// Somebody, where nobody is asked who they are.
+    /// An anonymous caller, on a coordinator that does not authenticate.
     Nobody,
-    /// The user of a token, or a worker by its certificate.
+    /// The user of a token, or a worker that its certificate identifies.
     User {
         /// The user's name.
         name: String,
-        /// What the token allows.
+        /// The scopes that the token grants.
         scopes: Scopes,
     },
 }
 
 impl Caller {
-    /// The owner of what the caller makes: nobody where nobody is asked.
+    /// Returns the owner of the data that the caller creates. The owner of an anonymous caller is the empty
+    /// string.
     pub fn owner(&self) -> &str {
         match self {
             Self::Nobody => "",
@@ -106,7 +109,8 @@ impl Caller {
         }
     }
 
-    /// Whether the caller may see and change everything: where nobody is asked, and with the scope `admin`.
+    /// Returns true if the caller may read and change all data: without authentication, or with the scope
+    /// `Admin`.
     pub fn sees_all(&self) -> bool {
         match self {
             Self::Nobody => true,
@@ -114,22 +118,23 @@ impl Caller {
         }
     }
 
-    /// Whether the caller may see what somebody owns.
+    /// Returns true if the caller may read the data of `owner`.
     pub fn sees(&self, owner: &str) -> bool {
         self.sees_all() || !owner.is_empty() && owner == self.owner()
     }
 }
 
-/// What a call needs.
+/// The permission that a call requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// Nothing: the health and the description of the services.
+    /// No permission: for the health and the description of the services.
     Nothing,
-    /// A scope.
+    /// A scope that the caller must have.
     Scope(Scope),
 }
 
-/// What a call needs, by its path, such as `/sightline.v1.Jobs/List`. Calls that are not listed need `admin`.
+/// Returns the permission that a call requires. `path` is a path such as `/sightline.v1.Jobs/List`. Calls
+/// that are not listed require `Admin`.
 pub fn needed(path: &str) -> Need {
     let mut parts = path.trim_start_matches('/').splitn(2, '/');
     let (service, method) = (

@@ -1,9 +1,9 @@
-//! Who may do what: tokens with scopes, certificates of workers, and the owners of jobs and scenes.
+//! Access control: tokens with scopes, certificates of workers, and the owners of jobs and scenes.
 //!
-//! A coordinator without tokens and without certificates of workers asks nobody who they are, and everything
-//! belongs to nobody. With either, each call needs a scope ([`needed`]); a client sees the jobs and scenes of
-//! its own user alone, and those with the scope `admin` see all. What others own is answered as what does not
-//! exist.
+//! A coordinator without tokens and without certificates of workers does not authenticate callers, and all
+//! data has the empty owner. With either, each call requires a scope ([`needed`]). A client then sees only
+//! the jobs and scenes of the token's user, and a caller with the scope `admin` sees all. For data of another
+//! owner the coordinator answers as if the data did not exist.
 
 mod caller;
 mod tokens;
@@ -16,37 +16,37 @@ use std::path::PathBuf;
 use std::sync::{PoisonError, RwLock};
 use std::time::SystemTime;
 
-/// What a coordinator asks of its callers.
+/// The credentials that a coordinator accepts from its callers.
 pub struct Access {
-    /// Where the tokens are; `None` when there are none, and clients need none.
+    /// The path of the token file. `None` if clients need no tokens.
     path: Option<PathBuf>,
-    known: RwLock<Known>,
-    /// Whether workers must have a certificate that the given authority has signed, or a token.
+    known: RwLock<LoadedTokens>,
+    /// True if workers need a certificate that the given authority has signed, or a token.
     certified: bool,
 }
 
-struct Known {
+struct LoadedTokens {
     tokens: TokenFile,
-    /// When the file was changed last, and its length.
+    /// The modification time and the length of the file when it was read last.
     as_of: Option<(SystemTime, u64)>,
-    /// Why the file could not be read again.
+    /// The reason why the last attempt to read the file again failed.
     failure: Option<String>,
 }
 
 impl Access {
-    /// Access by the tokens of a file, if there is one; `certified` says that the certificates of workers are
-    /// checked.
+    /// Creates the access control from a token file, if `path` names one. `certified` states that the
+    /// transport checks the certificates of workers.
     ///
     /// # Errors
-    /// [`TokenError`] when the file cannot be used.
+    /// [`TokenError`] if the file cannot be used.
     pub fn new(path: Option<PathBuf>, certified: bool) -> Result<Self, TokenError> {
         let known = match &path {
-            Some(path) => Known {
+            Some(path) => LoadedTokens {
                 as_of: stamp(path),
                 tokens: TokenFile::read(path)?,
                 failure: None,
             },
-            None => Known {
+            None => LoadedTokens {
                 as_of: None,
                 tokens: TokenFile::default(),
                 failure: None,
@@ -59,10 +59,11 @@ impl Access {
         })
     }
 
-    /// Who a caller is, by the token and the certificate of the call. A certificate has been checked.
+    /// Identifies a caller by the token and the certificate of the call. The transport has checked the
+    /// certificate.
     ///
     /// # Errors
-    /// A sentence for the caller, when the token is none of this coordinator's.
+    /// A sentence for the caller, if the token file does not contain the token.
     pub fn identify(
         &self,
         token: Option<&str>,
@@ -72,7 +73,7 @@ impl Access {
             (Some(token), _) if self.path.is_some() => {
                 let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
                 let token = known.tokens.find(token).ok_or(
-                    "the token is not known here, or was revoked; `sightline token new` makes one",
+                    "the token is unknown or revoked; create a token with `sightline token new`",
                 )?;
                 Ok(Caller::User {
                     name: token.user.clone(),
@@ -83,7 +84,7 @@ impl Access {
                 let name = format!("certificate {}", &blake3::hash(certificate).to_hex()[..16]);
                 Ok(Caller::User {
                     name,
-                    scopes: Scopes::of(&[Scope::Worker]),
+                    scopes: Scopes::new(&[Scope::Worker]),
                 })
             }
             _ => Ok(Caller::Nobody),
@@ -93,22 +94,23 @@ impl Access {
     /// Returns the user of the token whose secret has this digest.
     ///
     /// # Errors
-    /// A sentence for the caller, when the token was revoked.
+    /// A sentence for the caller, if the token was revoked.
     pub(crate) fn identify_digest(&self, digest: &TokenDigest) -> Result<Caller, &'static str> {
         let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
         let token = known.tokens.with_digest(digest);
         let token = token
-            .ok_or("the token of the session was revoked; log in with another one at /login")?;
+            .ok_or("the token of the session was revoked; log in with another token at /login")?;
         Ok(Caller::User {
             name: token.user.clone(),
             scopes: token.scopes,
         })
     }
 
-    /// Whether a caller may make a call with this need; a sentence when not.
+    /// Checks that the caller may make a call that requires this permission.
     ///
     /// # Errors
-    /// That sentence, and whether telling who it is could help.
+    /// [`Refusal::Unknown`] if the caller has not authenticated, and [`Refusal::Scope`] if the token lacks
+    /// the scope.
     pub fn permit(&self, caller: &Caller, need: Need) -> Result<(), Refusal> {
         let Need::Scope(scope) = need else {
             return Ok(());
@@ -134,13 +136,13 @@ impl Access {
         }
     }
 
-    /// Whether clients must have tokens.
+    /// Returns true if clients need tokens.
     pub fn has_tokens(&self) -> bool {
         self.path.is_some()
     }
 
-    /// Reads the tokens again if their file has changed. Tokens that cannot be read leave those that were
-    /// read before, and the log says so.
+    /// Reads the tokens again if their file has changed. If the file cannot be read, the previous tokens stay
+    /// valid and the log reports the failure.
     pub fn refresh(&self) {
         let Some(path) = &self.path else { return };
         let now = stamp(path);
@@ -157,7 +159,7 @@ impl Access {
         match TokenFile::read(path) {
             Ok(tokens) => {
                 tracing::info!("read the tokens again: {}", tokens.tokens.len());
-                *self.known.write().unwrap_or_else(PoisonError::into_inner) = Known {
+                *self.known.write().unwrap_or_else(PoisonError::into_inner) = LoadedTokens {
                     tokens,
                     as_of: now,
                     failure: None,
@@ -165,10 +167,10 @@ impl Access {
             }
             Err(e) => {
                 let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
-                // It is tried again each time, and said once.
+                // The read is repeated at each call, but each failure is logged only once.
                 let failure = e.to_string();
                 if known.failure.as_ref() != Some(&failure) {
-                    tracing::error!("{failure}; the tokens that were read before stay valid");
+                    tracing::error!("{failure}; the previous tokens stay valid");
                 }
                 (known.failure, known.as_of) = (Some(failure), None);
             }
@@ -176,12 +178,12 @@ impl Access {
     }
 }
 
-/// Why a call is refused.
+/// The reason why a call is rejected.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// The caller has not said who it is.
+    /// The caller has not authenticated.
     Unknown(&'static str),
-    /// The caller's token does not have the scope.
+    /// The caller's token does not have the required scope.
     Scope(String),
 }
 

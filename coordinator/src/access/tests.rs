@@ -13,7 +13,7 @@ fn token(file: &mut TokenFile, user: &str, scopes: &[Scope], seed: u8) -> String
 }
 
 #[test]
-fn tokens_survive_the_file_and_their_secrets_are_not_in_it() {
+fn token_file_round_trips_and_contains_no_secrets() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("tokens.json");
     let mut file = TokenFile::default();
@@ -35,7 +35,7 @@ fn tokens_survive_the_file_and_their_secrets_are_not_in_it() {
     let mut read = TokenFile::read(&path).unwrap();
     assert_eq!(read, file);
     assert_eq!(read.find(&ada).unwrap().user, "ada");
-    // Another id with this secret, a cut and a lengthened secret, other letters.
+    // Wrong tokens: another id with this secret, a shortened and a lengthened secret, other letters.
     let secret = ada.rsplit('_').next().unwrap();
     let id = farm.split('_').nth(1).unwrap();
     for wrong in [
@@ -65,7 +65,7 @@ fn tokens_survive_the_file_and_their_secrets_are_not_in_it() {
 }
 
 #[test]
-fn a_revoked_token_is_refused_after_the_file_has_changed() {
+fn revoked_token_is_rejected_after_file_change() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("tokens.json");
     let mut file = TokenFile::default();
@@ -73,7 +73,7 @@ fn a_revoked_token_is_refused_after_the_file_has_changed() {
     file.write(&path).unwrap();
     let access = Access::new(Some(path.clone()), false).unwrap();
     assert_eq!(access.identify(Some(&ada), None).unwrap().owner(), "ada");
-    // A file that cannot be read changes nothing.
+    // A file that cannot be read does not change the accepted tokens.
     std::fs::write(&path, "spoilt").unwrap();
     access.refresh();
     assert!(access.identify(Some(&ada), None).is_ok());
@@ -84,7 +84,7 @@ fn a_revoked_token_is_refused_after_the_file_has_changed() {
 }
 
 #[test]
-fn each_scope_allows_its_calls_and_no_others() {
+fn scopes_permit_their_calls_and_no_others() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("tokens.json");
     let mut file = TokenFile::default();
@@ -126,7 +126,7 @@ fn each_scope_allows_its_calls_and_no_others() {
             needed(path) == Need::Nothing,
             "{path}"
         );
-        // A certificate makes a worker and nothing else.
+        // A certificate identifies a worker and does not grant other scopes.
         let certified = access.identify(None, Some(b"certificate")).unwrap();
         let may = path.contains("v1.Workers") || needed(path) == Need::Nothing;
         assert_eq!(
@@ -138,7 +138,7 @@ fn each_scope_allows_its_calls_and_no_others() {
 }
 
 #[test]
-fn without_tokens_only_workers_are_asked() {
+fn only_workers_authenticate_without_tokens() {
     let open = Access::new(None, false).unwrap();
     let certified = Access::new(None, true).unwrap();
     let nobody = Caller::Nobody;
@@ -154,10 +154,10 @@ fn without_tokens_only_workers_are_asked() {
 }
 
 #[test]
-fn owners_see_their_own_and_admins_all() {
+fn owners_see_their_data_and_admins_see_all() {
     let user = |name: &str, scope| Caller::User {
         name: name.to_owned(),
-        scopes: Scopes::of(&[scope]),
+        scopes: Scopes::new(&[scope]),
     };
     let (ada, admin) = (user("ada", Scope::Submit), user("root", Scope::Admin));
     assert!(ada.sees("ada") && !ada.sees("bob") && !ada.sees(""));

@@ -1,7 +1,7 @@
-//! The file of tokens. It holds a digest of each secret, so who reads the file can use none of them.
+//! The token file. It contains a digest of each secret, so a reader of the file cannot use the tokens.
 //!
-//! A token is `slt_ID_SECRET`: the ID, eight digits of base 16, names it in lists and in the log; the
-//! secret has 256 random bits, so a plain digest of it cannot be guessed backwards.
+//! A token is `slt_ID_SECRET`. The ID is eight hexadecimal digits and names the token in lists and in the
+//! log. The secret has 256 random bits, so its plain digest cannot be inverted by guessing.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,43 +12,43 @@ use sightline_records::MAX_OWNER_BYTES;
 
 use super::caller::{Scope, Scopes};
 
-/// Most bytes of a user's name.
+/// Maximum length of a user's name, in bytes.
 pub const MAX_USER_BYTES: usize = MAX_OWNER_BYTES;
-/// Most tokens of a file.
+/// Maximum number of tokens in a file.
 const MAX_TOKENS: usize = 100_000;
-/// Most bytes of a file.
+/// Maximum size of a token file, in bytes.
 const MAX_BYTES: u64 = 64 << 20;
-/// What the digest of a secret is for.
+/// The context string of the digests of secrets.
 const CONTEXT: &str = "sightline 2026-11 token";
 
-/// A file of tokens that cannot be used.
+/// A token file that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     /// The file cannot be read.
-    #[error("{}: cannot be read: {reason}; `sightline token new --tokens` makes it", path.display())]
+    #[error("{} cannot be read: {reason}; create it with `sightline token new --tokens`", path.display())]
     Read {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The system's error.
+        /// The error of the operating system.
         reason: String,
     },
-    /// The file is no file of tokens.
-    #[error("{}: is not a file of tokens: {reason}", path.display())]
+    /// The file is not a token file.
+    #[error("{} is not a file of tokens: {reason}", path.display())]
     Form {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// The file cannot be written.
-    #[error("{}: cannot be written: {reason}", path.display())]
+    #[error("{} cannot be written: {reason}", path.display())]
     Write {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The system's error.
+        /// The error of the operating system.
         reason: String,
     },
-    /// A token cannot be made of this.
+    /// No token can be created from the given user and scopes.
     #[error("{0}")]
     Refused(String),
 }
@@ -56,41 +56,41 @@ pub enum TokenError {
 /// A token without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Token {
-    /// Its name in lists.
+    /// The token's name in lists.
     pub id: String,
-    /// Whose jobs and scenes it opens.
+    /// The user whose jobs and scenes the token opens.
     pub user: String,
-    /// What it allows.
+    /// The scopes that the token grants.
     pub scopes: Scopes,
-    /// When it was made, milliseconds since 1970.
+    /// The time of creation, in milliseconds since 1970.
     pub made_at_ms: u64,
-    /// The digest of its secret, base 16.
+    /// The digest of the token's secret, in base 16.
     pub digest: String,
 }
 
-/// The digest of a token's secret, which names the token in memory.
+/// The digest of a token's secret, which identifies the token in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TokenDigest(String);
 
 impl TokenDigest {
-    /// Computes the digest of a token's text, whether the token exists or not.
+    /// Computes the digest of the secret in a token's text. The token need not exist.
     pub(crate) fn of_text(text: &str) -> Self {
         Self(digest_of(text.rsplit('_').next().unwrap_or_default()))
     }
 }
 
-/// All tokens of a file.
+/// The contents of a token file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TokenFile {
-    /// The tokens, in the order in which they were made.
+    /// The tokens, in order of creation.
     pub tokens: Vec<Token>,
 }
 
 impl TokenFile {
-    /// Reads a file.
+    /// Reads a token file.
     ///
     /// # Errors
-    /// [`TokenError::Read`] and [`TokenError::Form`].
+    /// [`TokenError::Read`] if the file cannot be read, and [`TokenError::Form`] if it is not a token file.
     pub fn read(path: &Path) -> Result<Self, TokenError> {
         let unread = |reason: String| TokenError::Read {
             path: path.to_owned(),
@@ -105,7 +105,7 @@ impl TokenFile {
             .len();
         if size > MAX_BYTES {
             return Err(form(format!(
-                "it has {size} bytes; at most {MAX_BYTES} are read"
+                "the file has {size} bytes, but at most {MAX_BYTES} are allowed"
             )));
         }
         let text = std::fs::read(path).map_err(|e| unread(e.to_string()))?;
@@ -114,7 +114,7 @@ impl TokenFile {
             check_user(&token.user).map_err(&form)?;
             if !is_hex(&token.id, 8) || !is_hex(&token.digest, 64) {
                 return Err(form(format!(
-                    "the token of {} has no proper id or digest",
+                    "the token of {} has an invalid id or digest",
                     token.user
                 )));
             }
@@ -122,11 +122,11 @@ impl TokenFile {
         Ok(file)
     }
 
-    /// Writes the file, with its previous owner, or readable by its owner only. A reader sees the
-    /// previous file or the new one.
+    /// Writes the token file. The file keeps its previous owner; a new file is readable by its owner only. A
+    /// concurrent reader sees the previous file or the new one.
     ///
     /// # Errors
-    /// [`TokenError::Write`].
+    /// [`TokenError::Write`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), TokenError> {
         let write = || {
             let mut file = NewFile::begin(path, Access::Private)?;
@@ -140,10 +140,10 @@ impl TokenFile {
         })
     }
 
-    /// Adds a token with these random bytes, and gives its text, which is nowhere else.
+    /// Adds a token with these random bytes, and returns its text. The text is not stored anywhere.
     ///
     /// # Errors
-    /// [`TokenError::Refused`] for a bad user, no scope, or a full file.
+    /// [`TokenError::Refused`] if the user is invalid, `scopes` is empty, or the file is full.
     pub fn add(
         &mut self,
         user: &str,
@@ -166,11 +166,11 @@ impl TokenFile {
         let (id, secret) = (hex(&random[..4]), hex(&random[4..]));
         if self.tokens.iter().any(|token| token.id == id) {
             return Err(TokenError::Refused(
-                "the random id is taken already; try again".to_owned(),
+                "the random id is already in use; try again".to_owned(),
             ));
         }
         let text = format!("slt_{id}_{secret}");
-        let (user, scopes, digest) = (user.to_owned(), Scopes::of(scopes), digest_of(&secret));
+        let (user, scopes, digest) = (user.to_owned(), Scopes::new(scopes), digest_of(&secret));
         self.tokens.push(Token {
             id,
             user,
@@ -181,18 +181,18 @@ impl TokenFile {
         Ok(text)
     }
 
-    /// Removes the token of an id; whether there was one.
+    /// Removes the token with this id. Returns true if the token existed.
     pub fn revoke(&mut self, id: &str) -> bool {
         let before = self.tokens.len();
         self.tokens.retain(|token| token.id != id);
         self.tokens.len() < before
     }
 
-    /// The token with this text.
+    /// Returns the token with this text, or `None` if the file does not contain the token.
     pub fn find(&self, text: &str) -> Option<&Token> {
         let (id, secret) = text.strip_prefix("slt_")?.split_once('_')?;
         let token = self.tokens.iter().find(|token| token.id == id)?;
-        // In a time that does not depend on where they differ.
+        // The comparison of digests takes constant time, so that it does not reveal the first difference.
         let expected = blake3::Hash::from_hex(&token.digest).ok()?;
         let given = blake3::Hash::from_hex(digest_of(secret)).ok()?;
         (expected == given).then_some(token)
@@ -206,14 +206,14 @@ impl TokenFile {
     }
 }
 
-/// Holds others off from changing a file of tokens, until it is dropped.
+/// A lock on a token file, which prevents other processes from changing the file until the lock is dropped.
 pub struct TokenLock(#[allow(dead_code, reason = "it unlocks when it is dropped")] std::fs::File);
 
 impl TokenLock {
-    /// Waits until nobody else changes the file.
+    /// Waits until no other process changes the file, and locks it.
     ///
     /// # Errors
-    /// [`TokenError::Write`] when the lock, a file beside it, cannot be made.
+    /// [`TokenError::Write`] if the lock file next to the token file cannot be created.
     pub fn take(path: &Path) -> Result<Self, TokenError> {
         let failed = |e: std::io::Error| TokenError::Write {
             path: path.to_owned(),

@@ -1,4 +1,4 @@
-//! The stored blobs: which of them records refer to, and whose they are.
+//! The stored blobs: their references from records, and their owners.
 
 pub mod ownership;
 pub mod references;

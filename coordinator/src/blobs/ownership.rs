@@ -1,38 +1,38 @@
-//! The ownership of blobs: a coordinator removes blobs only where they belong to its own store.
+//! The ownership of blobs: a coordinator removes only blobs that belong to its own store.
 //!
-//! Blobs without a record that names them look unreferenced. With the records of another store,
-//! or with a new store in place of a lost one, every blob looks unreferenced. So a blob store carries the
-//! name of the store that it belongs to ([`StoreIdentity`](sightline_store::StoreIdentity)), and the removal
-//! checks it first.
+//! A blob without a record that references it looks unreferenced. With the records of another store, or with
+//! a new store in place of a lost one, every blob looks unreferenced. So a blob store contains the name of
+//! the store that it belongs to ([`StoreIdentity`](sightline_store::StoreIdentity)), and the removal checks
+//! this name first.
 
 use std::sync::Arc;
 
 use sightline_store::{Blobs, StoreId};
 
 use crate::blobs::references::KeepingError;
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::coordinator::Coordinator;
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// The relation of a blob store to a store.
+/// The relation of a blob store to a store of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ownership {
     /// The blobs belong to the store.
     Own,
     /// The blobs belong to another store.
     Foreign(StoreId),
-    /// Blobs exist, and they name no store: the records may be new or wrong.
+    /// The blob store contains no name of a store: it is empty, or the records may be new or wrong.
     Unnamed,
 }
 
 impl Ownership {
-    /// Describes why blobs are not removed, with the remedy; `None` if they may be removed.
+    /// Returns the reason why blobs must not be removed, with the remedy, or `None` if they may be removed.
     pub fn refusal(self) -> Option<String> {
         let reason = match self {
             Self::Own => return None,
             Self::Foreign(owner) => format!("the blobs belong to another store, {owner}"),
             Self::Unnamed => {
-                "blobs exist and name no store, so the records may be those of another store, new, or of an \
-                 earlier version"
+                "blobs exist but do not name their store, so the records may belong to another \
+                 store, be new, or come from an earlier version"
                     .to_owned()
             }
         };
@@ -43,10 +43,10 @@ impl Ownership {
     }
 }
 
-/// Returns the relation of the blobs to the store of this name. An empty blob store receives the name.
+/// Returns the relation of the blobs to the store `own`. An empty blob store receives the name `own`.
 ///
 /// # Errors
-/// When the blobs cannot be read, or the name cannot be written.
+/// [`KeepingError`] if the blobs cannot be read, or the name cannot be written.
 pub fn check(own: StoreId, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
     let relation = inspect(own, blobs)?;
     if relation == Ownership::Unnamed && is_empty(blobs)? {
@@ -56,10 +56,10 @@ pub fn check(own: StoreId, blobs: &dyn Blobs) -> Result<Ownership, KeepingError>
     Ok(relation)
 }
 
-/// Returns the relation of the blobs to the store of this name, without changing anything.
+/// Returns the relation of the blobs to the store `own`, without changes.
 ///
 /// # Errors
-/// When the blobs cannot be read.
+/// [`KeepingError`] if the blobs cannot be read.
 pub fn inspect(own: StoreId, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
     Ok(match blobs.owner()? {
         Some(owner) if owner == own => Ownership::Own,
@@ -77,20 +77,20 @@ fn is_empty(blobs: &dyn Blobs) -> Result<bool, KeepingError> {
     Ok(is_empty)
 }
 
-/// Returns true if the coordinator may remove unreferenced blobs; otherwise logs the reason and records an
+/// Returns true if the coordinator may remove unreferenced blobs. Otherwise logs the reason and records an
 /// event.
 pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
-    let own = c.store.identity().map_err(KeepingError::from);
+    let own = c.records.identity().map_err(KeepingError::from);
     let relation = own.and_then(|own| check(own.id(), &*c.blobs));
     match relation.map(Ownership::refusal) {
         Ok(None) => true,
         Ok(Some(refusal)) => {
             tracing::warn!("{refusal}");
-            c.happened(LogEvent::of(Kind::Coordinator, refusal));
+            c.record_event(LogEvent::new(EventKind::Coordinator, refusal));
             false
         }
         Err(e) => {
-            tracing::warn!("the owner of the blobs is not known, so that none is removed: {e}");
+            tracing::warn!("the owner of the blobs is unknown, so no blob is removed: {e}");
             false
         }
     }

@@ -1,5 +1,6 @@
-//! What of the stored blobs is needed: for the removal of the rest, and for the check of a store that is
-//! not in use.
+//! References from records to blobs.
+//!
+//! The references serve the removal of unreferenced blobs, and the check of a store that is not in use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::SystemTime;
@@ -10,31 +11,33 @@ use sightline_store::{BlobError, Blobs, Queries, StoreError};
 
 use crate::jobs::stored_spec;
 
-/// Something that cannot be looked at.
+/// A record or blob that could not be read or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum KeepingError {
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The blobs failed.
+    /// The blob store failed.
     #[error(transparent)]
     Blob(#[from] BlobError),
 }
 
-/// What a blob is needed for.
+/// The record that references a blob.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reference {
-    /// It is a scene.
+    /// The record of a scene.
     Scene,
-    /// It is a job's result.
+    /// The record of a job whose result is the blob.
     Result(JobId),
-    /// It is a large part of a job's specification, or its receivers.
+    /// The record of a job whose specification references the blob, which contains viewpoints, boxes or
+    /// receivers.
     Spec(JobId),
-    /// It is the output of a tile, or the stand-in for one.
+    /// The record of a tile whose output, or placeholder for an output, is the blob.
     Output(JobId, TileIndex),
 }
 
-/// The blobs that records name and that have to be there. Outputs of a job that is done are in its result.
+/// Returns the blobs that records reference and that have to exist. A done job references its result instead
+/// of the outputs of its tiles.
 pub fn needed(store: &dyn Queries) -> Result<BTreeMap<Digest, Vec<Reference>>, StoreError> {
     let mut all: BTreeMap<Digest, Vec<Reference>> = BTreeMap::new();
     for scene in store.scenes()? {
@@ -58,8 +61,8 @@ pub fn needed(store: &dyn Queries) -> Result<BTreeMap<Digest, Vec<Reference>>, S
     Ok(all)
 }
 
-/// The outputs that a job still needs: all of a job without a result, and of one with tiles set aside,
-/// which can be tried again.
+/// Returns the outputs that a job still needs. These are all outputs if the job has no result, or if it has
+/// tiles set aside, which can be retried. Otherwise the job needs none.
 fn outputs(store: &dyn Queries, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)>, StoreError> {
     let mut outputs = Vec::new();
     let mut is_whole = true;
@@ -79,8 +82,8 @@ fn outputs(store: &dyn Queries, job: &JobRecord) -> Result<Vec<(TileIndex, Diges
     Ok(outputs)
 }
 
-/// Removes the blobs that no record names and whose time `is_old`; returns how many, and their bytes. `alone`
-/// runs a removal while no other thread begins to need a blob.
+/// Removes the unreferenced blobs for whose write time `is_old` returns true. Returns their number and their
+/// total size in bytes. `alone` runs a removal while no other thread adds a reference to a blob.
 pub(crate) fn sweep(
     store: &dyn Queries,
     blobs: &dyn Blobs,
@@ -99,7 +102,8 @@ pub(crate) fn sweep(
     for (digest, bytes) in old {
         let mut removed = Ok(false);
         alone(&mut || {
-            // Whoever has put it again since is going to name it.
+            // A client may have uploaded this blob again and be about to reference it, so check its time
+            // again.
             removed = match blobs.written(&digest) {
                 Ok(Some(written)) if is_old(&digest, written) => blobs.remove(&digest),
                 Ok(_) => Ok(false),
@@ -114,29 +118,29 @@ pub(crate) fn sweep(
     Ok((count, sum))
 }
 
-/// What a check of a store has found.
+/// The result of a check of a store.
 #[derive(Debug, Default)]
 pub struct Verified {
-    /// Scenes, jobs and their tiles.
+    /// The number of scenes.
     pub scenes: u64,
-    /// Jobs.
+    /// The number of jobs.
     pub jobs: u64,
-    /// Blobs that are there, and their bytes.
+    /// The number of existing blobs.
     pub blobs: u64,
-    /// Bytes of these.
+    /// The total size of the existing blobs, in bytes.
     pub bytes: u64,
-    /// Blobs that nobody needs, and their bytes.
+    /// The number of unreferenced blobs.
     pub unneeded: u64,
-    /// Bytes of these.
+    /// The total size of the unreferenced blobs, in bytes.
     pub unneeded_bytes: u64,
-    /// Blobs that are needed and are absent or damaged, with what they are needed for.
+    /// The referenced blobs that are absent or damaged, each with its references and the reason.
     pub lost: BTreeMap<Digest, (Vec<Reference>, String)>,
 }
 
-/// Reads every record and every blob; `progress` is told the bytes that were read.
+/// Reads every record and every blob. `progress` receives the number of bytes that were read.
 ///
 /// # Errors
-/// When a record cannot be read, or the disk fails. A damaged blob is no error.
+/// [`KeepingError`] if a record cannot be read, or the disk fails. A damaged blob is not an error.
 pub fn verify(
     store: &dyn Queries,
     blobs: &dyn Blobs,
@@ -176,20 +180,20 @@ pub fn verify(
         if !present.contains(&digest) && !found.lost.contains_key(&digest) {
             found
                 .lost
-                .insert(digest, (needs, "it is missing".to_owned()));
+                .insert(digest, (needs, "the blob is missing".to_owned()));
         }
     }
     Ok(found)
 }
 
-/// A function that reopens tiles of a job, and returns their number.
+/// A function that reopens tiles of a job and returns the number of reopened tiles.
 pub type Reopen<'a> = dyn FnMut(JobId, &[TileIndex]) -> Result<u32, StoreError> + 'a;
 
-/// Reopens the tiles whose outputs or results are lost, with `reopen`, and removes damaged blobs; returns the
-/// number of tiles. Scenes and parts of specifications have to be sent again.
+/// Reopens, with `reopen`, the tiles whose outputs or results are lost, and removes damaged blobs. Returns
+/// the number of reopened tiles. Lost scenes and lost parts of specifications have to be uploaded again.
 ///
 /// # Errors
-/// The store's or the blobs'.
+/// [`KeepingError`] if the store or the blobs fail.
 pub fn repair(
     blobs: &dyn Blobs,
     found: &Verified,
@@ -201,7 +205,7 @@ pub fn repair(
         for need in needs {
             match need {
                 Reference::Output(job, tile) => drop(tiles.entry(*job).or_default().insert(*tile)),
-                // All of its tiles are opened, whichever is named.
+                // `reopen` reopens all tiles of a done job, so one tile suffices.
                 Reference::Result(job) => drop(tiles.entry(*job).or_default().insert(TileIndex(0))),
                 Reference::Scene | Reference::Spec(_) => {}
             }

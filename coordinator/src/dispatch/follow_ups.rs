@@ -1,25 +1,25 @@
-//! The follow-ups of an event: work that blocks and that its receiver must run.
+//! The follow-ups of an event: blocking work that the receiver of the event must run.
 
 use sightline_records::ids::JobId;
 use sightline_scheduler::StoreCommand;
 
-/// A task that blocks and must run after an event.
+/// A blocking task that must run after an event.
 #[derive(Debug)]
 pub(crate) enum FollowUp {
-    /// A change of the store.
+    /// A command to the store.
     Run(StoreCommand),
-    /// The result of a complete job.
+    /// The assembly of a complete job's result.
     Assemble(JobId),
 }
 
-/// The follow-ups of events. Debug builds fail where some are dropped: the scheduler waits for their
-/// outcomes.
+/// The follow-ups of events. The scheduler waits for their outcomes, so debug builds fail if follow-ups are
+/// dropped.
 #[derive(Debug, Default)]
 #[must_use = "the scheduler waits for the outcomes of follow-ups; run them"]
 pub(crate) struct FollowUps(Vec<FollowUp>);
 
 impl FollowUps {
-    /// Adds one.
+    /// Adds a follow-up.
     pub(super) fn push(&mut self, follow_up: FollowUp) {
         self.0.push(follow_up);
     }
@@ -29,7 +29,7 @@ impl FollowUps {
         self.0.extend(more.into_list());
     }
 
-    /// Returns true if there is nothing to run.
+    /// Returns true if no follow-up exists.
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -39,12 +39,12 @@ impl FollowUps {
         self.0.len()
     }
 
-    /// Takes the follow-ups out, so that the caller runs or drops them.
+    /// Returns the follow-ups as a list, which the caller runs or drops.
     pub(super) fn into_list(mut self) -> Vec<FollowUp> {
         std::mem::take(&mut self.0)
     }
 
-    /// Drops the follow-ups of a coordinator that ends. Its successor reads the state of the store.
+    /// Drops the follow-ups of a coordinator that ends. Its successor reads the state from the store.
     pub(crate) fn discard(self) {
         drop(self.into_list());
     }
@@ -60,16 +60,16 @@ impl Drop for FollowUps {
     }
 }
 
-/// Follow-ups that wait for a thread. A runtime that ends drops them.
+/// Follow-ups that wait for a thread. A runtime that ends may drop them.
 pub(crate) struct Waiting(FollowUps);
 
 impl Waiting {
-    /// Hands the follow-ups over.
+    /// Wraps follow-ups that another thread will run.
     pub(crate) fn new(follow_ups: FollowUps) -> Self {
         Self(follow_ups)
     }
 
-    /// Takes the follow-ups back, on the thread that runs them.
+    /// Returns the follow-ups, to the thread that runs them.
     pub(crate) fn take(mut self) -> FollowUps {
         std::mem::take(&mut self.0)
     }

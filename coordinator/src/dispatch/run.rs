@@ -1,8 +1,8 @@
-//! The work that follows from an event and blocks: commands of the store, and assembling results.
+//! The blocking follow-ups of an event: commands to the store, and the assembly of results.
 //!
-//! The scheduler's lock is never held during a call of the store. Commands about records of jobs hold the
-//! lock of `JobChanges`: the scheduler receives them in the order of the store. The outputs of tiles do not,
-//! so that many of them share one sync of the disk.
+//! No thread holds the scheduler's lock during a call of the store. Commands that change records of jobs hold
+//! the lock of `JobChanges`, so the scheduler receives the changes in the order of the store. Commits of tile
+//! outputs do not hold it, so that many of them share one sync of the disk.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,19 +11,19 @@ use sightline_model::PlannedJob;
 use sightline_records::ids::{Digest, TileIndex};
 use sightline_records::{JobPhase, JobState, TileCheck};
 use sightline_scheduler::{Event, StoreCommand};
-use sightline_store::{BlobError, StoreError};
+use sightline_store::{BlobError, Blobs, StoreError};
 
+use crate::coordinator::Coordinator;
+use crate::dispatch::FollowUps;
 use crate::dispatch::follow_ups::FollowUp;
-use crate::dispatch::{FollowUps, tell};
 use crate::jobs::invalidate;
 use crate::records::JobChanges;
 use crate::results::finalize;
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 
 /// Passes an event to the scheduler and runs its follow-ups. Blocks on the disk.
-pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
-    tell(c, event).run(c);
+pub(crate) fn tell_and_run(c: &Arc<Coordinator>, event: Event) {
+    c.tell(event).run(c);
 }
 
 impl FollowUps {
@@ -42,25 +42,25 @@ impl FollowUps {
     }
 }
 
-/// Runs a command of the store and passes its outcome to the scheduler.
+/// Runs a command to the store and passes its outcome to the scheduler.
 fn run(c: &Arc<Coordinator>, command: StoreCommand) -> FollowUps {
     let mut changes = JobChanges::begin(c);
     match outcome(&mut changes, &command) {
         Ok(Some(event)) => changes.tell(event),
         Ok(None) => {}
-        // The job has changed in the meantime; the scheduler has received that, or will.
+        // Another thread has changed the job in the meantime, and notifies the scheduler of the change.
         Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
         Err(e) => {
-            let text = format!("no tiles are granted for a while: {e}");
+            let text = format!("no tiles are granted for 10 s: {e}");
             tracing::error!("{text}");
-            c.happened(LogEvent::of(Kind::Coordinator, text));
+            c.record_event(LogEvent::new(EventKind::Coordinator, text));
             changes.tell(Event::Refused(command));
         }
     }
     changes.finish()
 }
 
-/// Carries out a command; returns the event of its outcome.
+/// Carries out a command to the store. Returns the event of its outcome.
 fn outcome(
     changes: &mut JobChanges<'_>,
     command: &StoreCommand,
@@ -73,7 +73,7 @@ fn outcome(
         }
         StoreCommand::Start(id) => {
             let record = changes.set_state(*id, &[JobPhase::Queued], JobState::Running)?;
-            c.happened(LogEvent::of_job(Kind::Job, *id, "the job is running"));
+            c.record_event(LogEvent::of_job(EventKind::Job, *id, "the job is running"));
             changed(record)
         }
         StoreCommand::Fail {
@@ -82,9 +82,9 @@ fn outcome(
             worker,
             reason,
         } => {
-            let on = changes.fail_tile((*job, *tile), worker, reason)?;
-            // What the tile failed on may be in them.
-            c.crews.outcomes.remove((*job, *tile));
+            let on = changes.fail_tile(*job, *tile, worker, reason)?;
+            // The stored outcomes may have caused the failure of the tile.
+            c.workers.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
             Ok(Some(Event::FailureRecorded {
                 job: *job,
@@ -94,14 +94,14 @@ fn outcome(
                 dead: None,
             }))
         }
-        // The next leader continues with the outcomes of a dead one.
+        // The crew's next leader continues with the outcomes of the dead leader.
         StoreCommand::CountDeath {
             job,
             tile,
             worker,
             reason,
         } => {
-            let on = changes.count_death((*job, *tile), worker, reason)?;
+            let on = changes.count_death(*job, *tile, worker, reason)?;
             let (reason, dead) = (reason.clone(), Some(worker.clone()));
             Ok(Some(Event::FailureRecorded {
                 job: *job,
@@ -117,17 +117,17 @@ fn outcome(
             worker,
             reason,
         } => {
-            changes.forget_failure((*job, *tile), worker, reason)?;
+            changes.forget_failure(*job, *tile, worker, reason)?;
             Ok(None)
         }
         StoreCommand::SetAside {
             job,
-            work,
+            planned,
             tiles,
             reason,
         } => {
             for &tile in tiles {
-                let made = set_aside(c, work, tile);
+                let made = set_aside(&*c.blobs, planned, tile);
                 let made = match made {
                     Ok(made) => made,
                     Err(e) => {
@@ -135,19 +135,19 @@ fn outcome(
                         return Ok(Some(Event::Refused(command.clone())));
                     }
                 };
-                match changes.set_aside_tile((*job, tile), made, reason) {
+                match changes.set_aside_tile(*job, tile, made.0, made.1, reason) {
                     Ok(()) => {
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
-                        c.metrics.tile_set_aside();
+                        c.telemetry.metrics.tile_set_aside();
                         let text = format!("tile {tile} {text} ({reason})");
-                        let what = LogEvent::of_job(Kind::SetAside, *job, text);
-                        c.happened(LogEvent {
+                        let what = LogEvent::of_job(EventKind::SetAside, *job, text);
+                        c.record_event(LogEvent {
                             tile: Some(tile),
                             ..what
                         });
                     }
-                    // A late result has come in between; the scheduler receives it.
+                    // A late output was committed in between, and the scheduler receives that commit.
                     Err(StoreError::TileNotOpen { .. }) => {}
                     Err(e) => return Err(e),
                 }
@@ -169,7 +169,7 @@ fn outcome(
                 worker: worker.clone(),
                 at_ms: c.now().unix_ms,
             };
-            changes.confirm_tile((*job, *tile), *digest, check)?;
+            changes.confirm_tile(*job, *tile, *digest, check)?;
             Ok(None)
         }
         StoreCommand::Quarantine {
@@ -181,15 +181,15 @@ fn outcome(
             Ok(None)
         }
         StoreCommand::FailJob(id, reason) => {
-            // Submitted again, the job begins from nothing.
-            c.crews.outcomes.sweep(|job| job != *id);
+            // If a client submits the job again, the new job must not continue from these outcomes.
+            c.workers.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed {
                 reason: reason.clone(),
             };
             let from = [JobPhase::Queued, JobPhase::Running];
             let record = changes.set_state(*id, &from, failed)?;
-            c.happened(LogEvent::of_job(
-                Kind::Job,
+            c.record_event(LogEvent::of_job(
+                EventKind::Job,
                 *id,
                 format!("the job has failed: {reason}"),
             ));
@@ -197,13 +197,13 @@ fn outcome(
         }
     }
 }
-/// Stores the placeholder of a tile; returns its digest and length.
+/// Stores the placeholder of a tile. Returns the blob's digest and length in bytes.
 fn set_aside(
-    c: &Coordinator,
-    work: &PlannedJob,
+    blobs: &dyn Blobs,
+    planned: &PlannedJob,
     tile: TileIndex,
 ) -> Result<(Digest, u64), BlobError> {
-    let made = sightline_assemble::placeholder(work, &work.plan().tiles[tile.at()]);
-    let bytes = made.map_err(|e| c.blobs.io_error(e))?;
-    Ok((c.blobs.put(&bytes)?, bytes.len() as u64))
+    let made = sightline_assemble::placeholder(planned, &planned.plan().tiles[tile.at()]);
+    let bytes = made.map_err(|e| blobs.io_error(e))?;
+    Ok((blobs.put(&bytes)?, bytes.len() as u64))
 }

@@ -1,33 +1,32 @@
-//! Jobs after their submission: summaries, cancel, pause, resume, retry, and where their results are.
+//! Control of submitted jobs: summaries, cancel, pause, resume, retry, and the digests of results.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use sightline_records::ids::{Digest, JobId};
 use sightline_records::{JobPhase, JobRecord, JobState, TileRecord, TileState};
-use sightline_scheduler::{Event, Job, Team, Unable, cells_total};
+use sightline_scheduler::{Event, OpenJob, cells_total};
 use sightline_store::StoreError;
 use sightline_traces::TraceId;
 
 use crate::access::Caller;
-use crate::dispatch::tell;
-use crate::jobs::changes::turned;
+use crate::coordinator::Coordinator;
 use crate::jobs::stored_spec;
-use crate::records::JobChanges;
-use crate::state::{Coordinator, MissingBlob};
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::jobs::suspensions::MissingBlob;
+use crate::records::{JobChanges, Records};
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// A job that cannot be changed or fetched.
+/// An error of a request to change a job or to download its result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum JobError {
-    /// Another version of the program began the job.
+    /// Another version of the program created the job.
     #[error("{0}")]
     Outdated(String),
-    /// The job has no result yet, or will have none.
-    #[error("job {job} is {phase} and has no result yet; `sightline watch {job}` follows it")]
+    /// The job has no result.
+    #[error("job {job} is {phase} and has no result yet; follow it with `sightline watch {job}`")]
     NoResult {
         /// The job.
         job: JobId,
-        /// Its state.
+        /// The job's state.
         phase: JobPhase,
     },
     /// The store failed.
@@ -44,21 +43,21 @@ pub(crate) struct Summary {
     pub(crate) tiles_set_aside: u32,
     pub(crate) tiles_running: u32,
     pub(crate) cells_done: u64,
-    /// 0 while unknown.
+    /// The number of cells. 0 if the number is not known.
     pub(crate) cells_total: u64,
-    /// Samples of finished and of running tiles.
+    /// The number of samples of finished and of running tiles.
     pub(crate) samples: u64,
-    /// Time that workers spent on finished tiles, in milliseconds.
+    /// The time that workers spent on finished tiles, in milliseconds.
     pub(crate) tile_millis: u64,
-    /// Connected workers.
+    /// The number of connected workers.
     pub(crate) workers: u32,
     /// The coordinator's clock, in milliseconds since 1970.
     pub(crate) now_ms: u64,
-    /// Milliseconds until the job is done, while that is known.
+    /// The expected time until the job is done, in milliseconds. `None` if it is not known.
     pub(crate) left_millis: Option<u64>,
-    /// What cannot be read, so that it is paused.
-    pub(crate) lacks: Option<MissingBlob>,
-    /// Its trace, where traces are sent.
+    /// The missing blob because of which the job is paused. `None` if the job does not wait for a blob.
+    pub(crate) missing: Option<MissingBlob>,
+    /// The trace of the job, if the coordinator sends traces.
     pub(crate) trace: Option<TraceId>,
 }
 
@@ -67,7 +66,8 @@ impl Summary {
         record: JobRecord,
         tiles: &[TileRecord],
         cells_total: u64,
-        (workers, now_ms): (u32, u64),
+        workers: u32,
+        now_ms: u64,
         trace: Option<TraceId>,
     ) -> Self {
         let mut sum = Self {
@@ -83,7 +83,7 @@ impl Summary {
             workers,
             now_ms,
             left_millis: None,
-            lacks: None,
+            missing: None,
             trace,
         };
         for tile in tiles {
@@ -101,79 +101,68 @@ impl Summary {
         sum
     }
 
-    /// Whether the job has ended.
+    /// Returns true if the job has ended.
     pub(crate) fn ended(&self) -> bool {
         self.record.state.phase().ended()
     }
 }
 
-/// A job's record.
-///
-/// # Errors
-/// [`StoreError::UnknownJob`], or the store's.
-pub(crate) fn record(c: &Coordinator, job: JobId) -> Result<JobRecord, StoreError> {
-    c.store.job(job)?.ok_or(StoreError::UnknownJob { job })
-}
-
-/// The summary of a job.
+/// Returns the summary of a job.
 pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError> {
     if let Some(summary) = live(c, id) {
         return Ok(summary);
     }
-    let record = record(c, id)?;
-    let workers = c.lock().scheduler.workers();
-    let tiles = c.store.tiles(id)?;
-    // The specification of another version cannot be planned; the number of its cells is unknown then.
+    let record = c.records.existing_job(id)?;
+    let workers = c.dispatcher.read(|scheduler| scheduler.workers());
+    let tiles = c.records.tiles(id)?;
+    // The specification of another version cannot be planned, so the number of its cells is unknown.
     let total =
         stored_spec::without_viewpoints(&*c.blobs, &record.spec).map_or(0, |job| cells_total(&job));
-    let trace = c.spans.trace_of(&record);
+    let trace = c.telemetry.spans.trace_of(&record);
     Ok(Summary::of_ended(
         record,
         &tiles,
         total,
-        (workers, c.now().unix_ms),
+        workers,
+        c.now().unix_ms,
         trace,
     ))
 }
 
-/// The summary of a job that has not ended, from the scheduler's totals.
+/// Returns the summary of a job that has not ended, from the scheduler's totals. Returns `None` if the
+/// scheduler does not have the job.
 pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
-    let now = c.now_plain();
-    let lacks = c
-        .lost
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .get(&id)
-        .copied();
-    let scheduling = c.lock();
-    let scheduler = &scheduling.scheduler;
-    let job = scheduler.job(id)?;
-    Some(Summary {
-        record: job.record.clone(),
-        tiles_total: job.tiles.len() as u32,
-        tiles_done: job.done,
-        tiles_set_aside: job.set_aside,
-        tiles_running: job.running,
-        cells_done: job.cells.saturating_add(job.running_cells),
-        cells_total: job.cells_total,
-        samples: job.samples.saturating_add(job.running_samples),
-        tile_millis: job.millis,
-        workers: scheduler.workers(),
-        now_ms: now.unix_ms,
-        left_millis: job.left(now),
-        lacks,
-        trace: c.spans.trace_of(&job.record),
+    let now = c.scheduler_now();
+    let missing = c.suspensions.missing_blob(id);
+    c.dispatcher.read(|scheduler| {
+        let job = scheduler.job(id)?;
+        Some(Summary {
+            record: job.record.clone(),
+            tiles_total: job.tiles.len() as u32,
+            tiles_done: job.done,
+            tiles_set_aside: job.set_aside,
+            tiles_running: job.running,
+            cells_done: job.cells.saturating_add(job.running_cells),
+            cells_total: job.cells_total,
+            samples: job.samples.saturating_add(job.running_samples),
+            tile_millis: job.millis,
+            workers: scheduler.workers(),
+            now_ms: now.unix_ms,
+            left_millis: job.left(now),
+            missing,
+            trace: c.telemetry.spans.trace_of(&job.record),
+        })
     })
 }
 
-/// Which jobs are wanted: those to which all of it applies.
+/// A filter of jobs. A job has to match all its conditions.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct JobFilter {
-    /// In one of these states; empty for all.
+    /// The accepted states. Empty for all states.
     pub(crate) phases: Vec<JobPhase>,
-    /// A part of the name.
+    /// A text that the job's name must contain. Empty for all names.
     pub(crate) name: String,
-    /// The user; empty for all.
+    /// The user or the owner of the job. Empty for all users.
     pub(crate) user: String,
     pub(crate) scene: Option<Digest>,
 }
@@ -194,18 +183,20 @@ impl JobFilter {
     }
 }
 
-/// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether
-/// there are older ones.
+/// Returns the summaries of at most `most` jobs: the newest ones with numbers below `before`, in ascending
+/// order. The second value is true if older jobs exist.
+///
+/// Only jobs that match `filter` and that `caller` may see count.
 pub(crate) fn list(
     c: &Coordinator,
     caller: &Caller,
     before: JobId,
     most: usize,
-    wanted: &JobFilter,
+    filter: &JobFilter,
 ) -> Result<(Vec<Summary>, bool), StoreError> {
-    let (page, older) = own_before(c, caller, before, most, wanted)?;
+    let (page, older) = own_before(&c.records, caller, before, most, filter)?;
     let summary_if_present = |job: &JobRecord| match summary(c, job.id) {
-        // It was deleted in between.
+        // Another call deleted the job in between.
         Err(StoreError::UnknownJob { .. }) => None,
         summary => Some(summary),
     };
@@ -217,26 +208,28 @@ pub(crate) fn list(
     ))
 }
 
-/// The newest jobs before one that a caller may see and wants, ascending, and whether there are older ones.
+/// Returns at most `most` jobs that `caller` may see and that match `filter`: the newest ones with numbers
+/// below `before`, in ascending order. The second value is true if older jobs exist.
 fn own_before(
-    c: &Coordinator,
+    records: &Records,
     caller: &Caller,
     mut before: JobId,
     most: usize,
-    wanted: &JobFilter,
+    filter: &JobFilter,
 ) -> Result<(Vec<JobRecord>, bool), StoreError> {
-    if caller.sees_all() && wanted.is_all() {
-        return c.store.jobs_before(before, most);
+    if caller.sees_all() && filter.is_all() {
+        return records.jobs_before(before, most);
     }
-    // From the newest on, and one more than is wanted: what others have is not told of, even as older jobs.
+    // The search starts at the newest job and collects one more than `most`, to find out if older jobs exist.
+    // Jobs of other users do not count, so that the answer does not reveal them.
     let mut own = Vec::new();
     loop {
-        let (page, older) = c.store.jobs_before(before, most)?;
+        let (page, older) = records.jobs_before(before, most)?;
         let first = page.first().map(|job| job.id);
         own.extend(
             page.into_iter()
                 .rev()
-                .filter(|job| caller.sees(&job.owner) && wanted.matches(job)),
+                .filter(|job| caller.sees(&job.owner) && filter.matches(job)),
         );
         match first.filter(|_| older && own.len() <= most) {
             Some(first) => before = first,
@@ -250,19 +243,9 @@ fn own_before(
     }
 }
 
-/// The connected workers that cannot work on a job, by reason.
-pub(crate) fn unable(c: &Coordinator, job: JobId) -> Vec<Unable> {
-    c.lock().scheduler.unable(job)
-}
-
-/// Who works on a job's tiles.
-pub(crate) fn teams(c: &Coordinator, job: JobId) -> Vec<Team> {
-    c.lock().scheduler.teams(job)
-}
-
-/// The digest of a done job's result.
-pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
-    match record(c, job)?.state {
+/// Returns the digest of a done job's result.
+pub(crate) fn result(records: &Records, job: JobId) -> Result<Digest, JobError> {
+    match records.existing_job(job)?.state {
         JobState::Done { result, .. } => Ok(result),
         state => Err(JobError::NoResult {
             job,
@@ -271,28 +254,28 @@ pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
     }
 }
 
-/// Ends a job that has not ended.
+/// Cancels a job that has not ended.
 pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    waits_no_more(c, job);
+    c.suspensions.forget(job);
     let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-    let cancelled = turn(c, job, &from, JobState::Cancelled)?;
-    // Submitted again, the job begins from nothing.
-    c.crews.outcomes.sweep(|other| other != job);
+    let cancelled = move_job(c, job, &from, JobState::Cancelled)?;
+    // If a client submits the job again, the new job must not continue from these outcomes.
+    c.workers.crews.outcomes.sweep(|other| other != job);
     Ok(cancelled)
 }
 
-/// Stops granting tiles of a job; takes back those that are leased if they are to stop `now`.
+/// Stops granting tiles of a job. If `now` is true, also revokes the active leases of the job.
 pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summary, JobError> {
-    waits_no_more(c, job);
-    // A paused job can still be told to stop now.
+    c.suspensions.forget(job);
+    // A client can still pause a paused job again with `now`.
     let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-    let paused = turn(c, job, &from, JobState::Paused)?;
+    let paused = move_job(c, job, &from, JobState::Paused)?;
     if !now {
         return Ok(paused);
     }
-    tell(c, Event::Stopped(job)).run(c);
-    c.happened(LogEvent::of_job(
-        Kind::Job,
+    c.tell(Event::Stopped(job)).run(c);
+    c.record_event(LogEvent::of_job(
+        EventKind::Job,
         job,
         "tiles at work are stopped",
     ));
@@ -301,19 +284,11 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
 
 /// Continues a paused job.
 pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    waits_no_more(c, job);
-    turn(c, job, &[JobPhase::Paused], JobState::Queued)
+    c.suspensions.forget(job);
+    move_job(c, job, &[JobPhase::Paused], JobState::Queued)
 }
 
-/// What a person does with a job counts more than that it waits for its scene or its receivers.
-fn waits_no_more(c: &Coordinator, job: JobId) {
-    c.lost
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .remove(&job);
-}
-
-/// Gives a job that has not ended another priority.
+/// Changes the priority of a job that has not ended.
 pub(crate) fn prioritize(
     c: &Arc<Coordinator>,
     id: JobId,
@@ -323,8 +298,8 @@ pub(crate) fn prioritize(
         let mut changes = JobChanges::begin(c);
         let record = changes.prioritize(id, priority)?;
         tracing::info!("job {id} has priority {priority}");
-        c.happened(LogEvent::of_job(
-            Kind::Job,
+        c.record_event(LogEvent::of_job(
+            EventKind::Job,
             id,
             format!("the job has priority {priority}"),
         ));
@@ -335,20 +310,22 @@ pub(crate) fn prioritize(
     Ok(summary(c, id)?)
 }
 
-/// Moves a job to another state.
-fn turn(
+/// Changes the state of a job and runs the follow-ups.
+fn move_job(
     c: &Arc<Coordinator>,
     id: JobId,
     from: &[JobPhase],
     to: JobState,
 ) -> Result<Summary, JobError> {
-    let follow_ups = turned(c, id, from, to)?;
-    follow_ups.run(c);
+    let mut changes = JobChanges::begin(c);
+    let moved = changes.move_to(id, from, to);
+    changes.finish().run(c);
+    moved?;
     Ok(summary(c, id)?)
 }
 
-/// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
-/// that has not ended stays as it is.
+/// Continues an ended job with its existing tiles: a failed or cancelled job, or a done job with tiles set
+/// aside. A job that has not ended does not change.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
     let mut changes = JobChanges::begin(c);
     let retried = reopen(&mut changes, id);
@@ -357,24 +334,25 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
     Ok(summary(c, id)?)
 }
 
-/// Reopens the tiles of an ended job, and gives the job to the scheduler.
+/// Reopens the tiles of an ended job, and passes the job to the scheduler.
 fn reopen(changes: &mut JobChanges<'_>, id: JobId) -> Result<(), JobError> {
     let c = changes.coordinator();
-    let before = record(c, id)?;
+    let before = c.records.existing_job(id)?;
     if !before.state.phase().ended() {
         return Ok(());
     }
-    // Checked first: otherwise the job would be open in the store and absent from the scheduler.
-    let work = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
-    let work = Arc::new(work);
-    Job::new(before, Arc::clone(&work), c.store.tiles(id)?).map_err(JobError::Outdated)?;
+    // Plan the job first. If planning failed later, the job would be open in the store and absent from the
+    // scheduler.
+    let planned = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
+    let planned = Arc::new(planned);
+    OpenJob::new(before, Arc::clone(&planned), c.records.tiles(id)?).map_err(JobError::Outdated)?;
     changes.reopen_tiles(id)?;
-    let after = record(c, id)?;
+    let after = c.records.existing_job(id)?;
     if !after.state.phase().ended() {
-        let job = Job::new(after, work, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+        let job = OpenJob::new(after, planned, c.records.tiles(id)?).map_err(JobError::Outdated)?;
         changes.tell(Event::TakenUp(Box::new(job)));
-        tracing::info!("job {id} is tried again");
-        c.happened(LogEvent::of_job(Kind::Job, id, "the job is tried again"));
+        tracing::info!("job {id} is retried");
+        c.record_event(LogEvent::of_job(EventKind::Job, id, "the job is retried"));
     }
     Ok(())
 }

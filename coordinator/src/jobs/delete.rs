@@ -1,4 +1,4 @@
-//! Deleting a job that has ended, with the blobs that it alone needs.
+//! Deletion of ended jobs, with the blobs that no other job references.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError};
@@ -7,22 +7,22 @@ use sightline_records::ids::{Digest, JobId};
 use sightline_records::{JobRecord, JobState, TileState};
 use sightline_store::StoreError;
 
+use crate::coordinator::Coordinator;
 use crate::jobs::control::{self, JobError, Summary};
 use crate::jobs::stored_spec;
-use crate::kept::PartialCache;
-use crate::records::{JobChanges, OutputRemoval};
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::records::{JobChanges, OutputRemoval, Records};
+use crate::results::state::PartialCache;
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// The blobs that a job names, apart from its scene: its result, the outputs of its tiles, the large parts of
-/// its specification, and its receivers.
-pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>, StoreError> {
+/// Returns the blobs that a job references, apart from its scene. These are its result, the outputs of its
+/// tiles, the large parts of its specification, and its receivers.
+pub(crate) fn named(records: &Records, job: &JobRecord) -> Result<BTreeSet<Digest>, StoreError> {
     let mut all = BTreeSet::new();
     if let JobState::Done { result, .. } = job.state {
         all.insert(result);
     }
     all.extend(stored_spec::named(&job.spec));
-    for tile in c.store.tiles(job.id)? {
+    for tile in records.tiles(job.id)? {
         if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
             all.insert(digest);
         }
@@ -30,11 +30,11 @@ pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>
     Ok(all)
 }
 
-/// Removes a deleted job's scene if no job names it and no other user has sent it. No job is submitted in the
-/// meantime.
+/// Removes a deleted job's scene if no job references it and no other user has uploaded it. `changes`
+/// prevents submissions in the meantime.
 fn forget_scene(changes: &mut JobChanges<'_>, job: &JobRecord) {
     let c = changes.coordinator();
-    let record = match c.store.scene(&job.scene) {
+    let record = match c.records.scene(&job.scene) {
         Ok(Some(record)) => record,
         Ok(None) => return,
         Err(e) => return tracing::warn!("{e}"),
@@ -48,40 +48,44 @@ fn forget_scene(changes: &mut JobChanges<'_>, job: &JobRecord) {
                 tracing::warn!("{e}");
             }
         }
-        // Another job's, or somebody was faster.
+        // Another job references the scene, or another thread has removed it.
         Err(StoreError::SceneInUse { .. } | StoreError::UnknownScene { .. }) => {}
         Err(e) => tracing::warn!("{e}"),
     }
 }
 
-/// Deletes a job that has ended, with all that no other job needs; returns what it was.
+/// Deletes an ended job and the blobs that no other job references. Returns the job's last summary.
 pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
     let mut changes = JobChanges::begin(c);
-    // No output is committed meanwhile, so none that is committed is removed.
+    // No thread commits outputs during this removal, so a newly committed output is not removed.
     let removal = OutputRemoval::begin(c);
     let was = control::summary(c, id)?;
-    let mut free = named(c, &was.record)?;
+    let mut free = named(&c.records, &was.record)?;
     changes.delete(id)?;
-    for other in c.store.jobs()? {
+    for other in c.records.jobs()? {
         if free.is_empty() {
             break;
         }
-        // A done job's outputs are in its result.
-        for digest in named(c, &other)? {
+        // The outputs of a done job are part of its result.
+        for digest in named(&c.records, &other)? {
             free.remove(&digest);
         }
     }
     removal.remove(free)?;
     forget_scene(&mut changes, &was.record);
-    c.crews.outcomes.sweep(|other| other != id);
-    *c.last_partial
+    c.workers.crews.outcomes.sweep(|other| other != id);
+    *c.results
+        .last_partial
         .lock()
         .unwrap_or_else(PoisonError::into_inner) = PartialCache::default();
-    *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
-    c.watched().changed(id, true);
+    *c.results
+        .last_queried
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner) = None;
+    c.dispatcher.job_deleted(id);
     tracing::info!("job {id} is deleted");
-    c.happened(LogEvent::of_job(
-        Kind::Job,
+    c.record_event(LogEvent::of_job(
+        EventKind::Job,
         id,
         format!("the job ({}) is deleted", was.record.name),
     ));

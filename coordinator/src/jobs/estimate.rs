@@ -1,7 +1,7 @@
-//! What a submission would cost: its plan, and what finished jobs like it have needed.
+//! Cost estimates of submissions, from the plan and from the costs of similar finished jobs.
 //!
-//! Time and bytes are taken as proportional to the number of cells. That holds from 512 cells upwards, whose
-//! blocks share nothing; the cells of smaller grids cost more each.
+//! The estimate assumes that time and bytes are proportional to the number of cells. This holds from 512
+//! cells upwards, because blocks of cells do not share samples. Each cell of a smaller grid costs more.
 
 use std::sync::Arc;
 
@@ -16,39 +16,41 @@ use sightline_scheduler::cells_total;
 use sightline_viewcells::Division;
 
 use crate::access::Caller;
+use crate::coordinator::Coordinator;
 use crate::jobs::control::{self, Summary};
 use crate::jobs::stored_spec;
 use crate::jobs::submit::{Submission, SubmitError};
-use crate::state::Coordinator;
 
-/// Jobs that are looked at, from the newest.
+/// Maximum number of jobs that an estimate inspects, starting at the newest.
 const MOST_LOOKED_AT: usize = 1000;
 
-/// See the module.
+/// The estimated cost of a submission.
 pub(crate) struct Estimate {
     pub(crate) tiles: u32,
-    /// 0 while the number is not known.
+    /// The number of cells. 0 if the number is not known.
     pub(crate) cells: u64,
-    /// The job that would answer the submission.
+    /// The existing job that the submission would return.
     pub(crate) existing: Option<Summary>,
-    /// Open jobs that come first.
+    /// The number of queued or running jobs with open tiles that precede the submission: with a higher
+    /// priority, or with the same priority and the same user.
     pub(crate) jobs_before: u32,
     pub(crate) workers: u32,
     pub(crate) cost: Option<Cost>,
 }
 
-/// A cost that is expected from earlier jobs.
+/// An expected cost, derived from finished jobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Cost {
     pub(crate) jobs: u32,
-    /// Whether they are of the same scene and parameters.
+    /// True if the finished jobs have the same scene and parameters.
     pub(crate) same_scene: bool,
-    /// Time of workers and size of the result: of the cheapest, the median and the dearest job.
+    /// The expected worker time in milliseconds, scaled from the cheapest, the median and the most expensive
+    /// finished job. `bytes` contains the expected sizes of the result, in bytes and in the same order.
     pub(crate) millis: [u64; 3],
     pub(crate) bytes: [u64; 3],
 }
 
-/// What a finished job needed.
+/// The cost of a finished job.
 struct Finished {
     like: bool,
     cells: u64,
@@ -56,7 +58,7 @@ struct Finished {
     bytes: u64,
 }
 
-/// Estimates a submission. Changes nothing.
+/// Estimates the cost of a submission, without changing any state.
 pub(crate) fn estimate(
     c: &Arc<Coordinator>,
     caller: &Caller,
@@ -65,12 +67,12 @@ pub(crate) fn estimate(
     let job = &submission.job;
     let cells = cells_total(job);
     let known = match c
-        .store
+        .records
         .job_by_request(&owned_request(&submission.request_id, &submission.owner))?
     {
         Some(job) => Some(job),
         None => c
-            .store
+            .records
             .job_by_key(&owned_key(job.key(), &submission.owner))?,
     };
     let answers =
@@ -79,9 +81,7 @@ pub(crate) fn estimate(
         .filter(answers)
         .map(|job| control::summary(c, job.id))
         .transpose()?;
-    let (jobs_before, workers) = {
-        let scheduling = c.lock();
-        let scheduler = &scheduling.scheduler;
+    let (jobs_before, workers) = c.dispatcher.read(|scheduler| {
         let before = |id: &JobId| {
             scheduler.job(*id).is_some_and(|job| {
                 let equal = job.record.priority == submission.priority
@@ -99,7 +99,7 @@ pub(crate) fn estimate(
             scheduler.job_ids().iter().filter(|id| before(id)).count() as u32,
             scheduler.workers(),
         )
-    };
+    });
     let cost = (cells > 0)
         .then(|| finished(c, caller, job))
         .transpose()?
@@ -114,14 +114,14 @@ pub(crate) fn estimate(
     })
 }
 
-/// The finished jobs of the same method and sampler that a caller may see.
+/// Returns the costs of finished jobs with the same method and sampler that `caller` may see.
 fn finished(
     c: &Coordinator,
     caller: &Caller,
     job: &PlannedJob,
 ) -> Result<Vec<Finished>, SubmitError> {
-    let (records, _) = c.store.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
-    let (spec, kind) = (job.spec(), JobKind::of(job.spec()));
+    let (records, _) = c.records.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
+    let (spec, kind) = (job.spec(), JobKind::from_spec(job.spec()));
     let mut jobs = Vec::new();
     for record in records
         .into_iter()
@@ -130,11 +130,11 @@ fn finished(
         let JobState::Done { bytes, .. } = record.state else {
             continue;
         };
-        // A specification of another version tells nothing about this one.
+        // The specification of another version does not predict this version's cost.
         let Ok(other) = stored_spec::spec_without_viewpoints(&*c.blobs, &record.spec) else {
             continue;
         };
-        if JobKind::of(&other) != kind {
+        if JobKind::from_spec(&other) != kind {
             continue;
         }
         let sum = control::summary(c, record.id)?;
@@ -163,7 +163,7 @@ struct JobKind {
 }
 
 impl JobKind {
-    fn of(spec: &JobSpec) -> Self {
+    fn from_spec(spec: &JobSpec) -> Self {
         let task = spec.visibility();
         let sampler = |sampling: &Sampling| sampling.sampler.name();
         Self {
@@ -175,7 +175,7 @@ impl JobKind {
     }
 }
 
-/// Returns true if two jobs sample with the same parameters, whatever their cells.
+/// Returns true if two jobs sample with the same parameters. Their cells may differ.
 fn samples_alike(a: &JobSpec, b: &JobSpec) -> bool {
     let parameters = |spec: &JobSpec| {
         let task = spec.visibility()?;
@@ -203,7 +203,8 @@ enum SamplerParams {
     Cubes(CubeParams),
 }
 
-/// The cost of `cells` cells by these jobs: by those on the same scene alone, if there are any.
+/// Returns the expected cost of `cells` cells, or `None` without finished jobs. If jobs on the same scene
+/// exist, only these count.
 fn cost(jobs: &[Finished], cells: u64) -> Option<Cost> {
     let same_scene = jobs.iter().any(|job| job.like);
     let used: Vec<&Finished> = jobs.iter().filter(|job| job.like || !same_scene).collect();

@@ -1,19 +1,20 @@
-//! Results that are not believed any more: those of a worker whose bytes were wrong, or those that a person
-//! names. Their tiles are computed again, with all tiles that were computed from them.
+//! Invalidation of results: the results of a worker that returned wrong bytes, or results that a user names.
+//!
+//! The tiles of these results are computed again, with all tiles that were computed from them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use sightline_records::ids::{JobId, TileIndex};
 use sightline_records::{JobPhase, JobRecord, QuarantineRecord};
-use sightline_scheduler::{Event, Job};
+use sightline_scheduler::{Event, OpenJob};
 use sightline_store::{StoreError, TileFilter, untrusted_tiles};
 
 use crate::jobs::stored_spec;
 use crate::records::{JobChanges, OutputRemoval};
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// Quarantines workers, and reopens the tiles that they computed since they were last right.
+/// Quarantines workers, and reopens the tiles that they committed after their last confirmed output.
 pub(crate) fn condemn(
     changes: &mut JobChanges<'_>,
     workers: &[String],
@@ -21,14 +22,15 @@ pub(crate) fn condemn(
     reason: &str,
 ) -> Result<(), StoreError> {
     let c = changes.coordinator();
-    // The quarantine is recorded last: after a crash before that the worker is only found once more.
-    for (job, tiles) in untrusted_tiles(c.store.queries(), workers, condemned)? {
-        if let Some(record) = c.store.job(job)? {
+    // The quarantine is recorded last. If the coordinator crashes earlier, the next check detects the worker
+    // again.
+    for (job, tiles) in untrusted_tiles(c.records.queries(), workers, condemned)? {
+        if let Some(record) = c.records.job(job)? {
             open_again(changes, record, tiles, true)?;
         }
     }
-    // Phases of open tiles that they may have computed are computed again, too.
-    c.crews.outcomes.sweep(|_| false);
+    // The workers may have computed outcomes of phases of open tiles, so these are computed again, too.
+    c.workers.crews.outcomes.sweep(|_| false);
     changes.tell(Event::Swept);
     for worker in workers {
         let at_ms = c.now().unix_ms;
@@ -39,17 +41,17 @@ pub(crate) fn condemn(
         };
         changes.quarantine(record)?;
         let text = format!(
-            "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed \
-             again. Find out what is wrong with its machine, driver or program; `sightline workers --release \
-             {worker}` lets it work again"
+            "WORKER {worker} IS QUARANTINED: {reason}. The tiles since its last correct output are \
+             computed again. Check its machine, driver and program; `sightline workers --release \
+             {worker}` ends the quarantine"
         );
         tracing::error!("{text}");
-        c.happened(LogEvent::of(Kind::Worker, text).on(worker));
+        c.record_event(LogEvent::new(EventKind::Worker, text).on(worker));
     }
     Ok(())
 }
 
-/// Opens tiles again; returns how many of each job.
+/// Reopens tiles. Returns the number of reopened tiles of each job.
 pub(crate) fn invalidate(
     changes: &mut JobChanges<'_>,
     filter: &TileFilter,
@@ -57,7 +59,10 @@ pub(crate) fn invalidate(
     let c = changes.coordinator();
     let jobs = match filter.job {
         Some(id) => {
-            let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+            let job = c
+                .records
+                .job(id)?
+                .ok_or(StoreError::UnknownJob { job: id })?;
             if let Some(&tile) = filter.tiles.iter().find(|tile| tile.0 >= job.tiles) {
                 return Err(StoreError::UnknownTile {
                     job: id,
@@ -67,12 +72,12 @@ pub(crate) fn invalidate(
             }
             vec![job]
         }
-        None => c.store.jobs()?,
+        None => c.records.jobs()?,
     };
     let mut opened = BTreeMap::new();
     for job in jobs {
         let tiles: BTreeSet<TileIndex> = c
-            .store
+            .records
             .tiles(job.id)?
             .iter()
             .filter(|tile| filter.selects(tile))
@@ -86,19 +91,19 @@ pub(crate) fn invalidate(
     Ok(opened)
 }
 
-/// Opens tiles of a job whose outputs are lost.
+/// Reopens tiles of a job whose outputs are lost. Returns the number of reopened tiles.
 pub(crate) fn open(
     changes: &mut JobChanges<'_>,
     job: JobId,
     tiles: BTreeSet<TileIndex>,
 ) -> Result<u32, StoreError> {
     let c = changes.coordinator();
-    let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
+    let record = c.records.job(job)?.ok_or(StoreError::UnknownJob { job })?;
     open_again(changes, record, tiles, false)
 }
 
-/// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with
-/// it.
+/// Reopens tiles of a job, and passes the job to the scheduler again. If `with` is true, reopens the tiles
+/// that were computed from them, too.
 fn open_again(
     changes: &mut JobChanges<'_>,
     job: JobRecord,
@@ -107,8 +112,8 @@ fn open_again(
 ) -> Result<u32, StoreError> {
     let c = changes.coordinator();
     let (id, was) = (job.id, job.state.phase());
-    let work = stored_spec::whole(&*c.blobs, &job.spec).map(Arc::new);
-    if work.is_err()
+    let planned = stored_spec::whole(&*c.blobs, &job.spec).map(Arc::new);
+    if planned.is_err()
         && let Some(part) = stored_spec::part(&job.spec).ok().and_then(|(_, part)| part)
         && let Err(e) = c.blobs.open_checked(&part)
         && e.passes()
@@ -118,37 +123,38 @@ fn open_again(
         });
     }
     let again = |record: JobRecord| {
-        let work = Arc::clone(work.as_ref().map_err(String::clone)?);
-        Job::new(record, work, c.store.tiles(id).map_err(|e| e.to_string())?)
+        let planned = Arc::clone(planned.as_ref().map_err(String::clone)?);
+        OpenJob::new(
+            record,
+            planned,
+            c.records.tiles(id).map_err(|e| e.to_string())?,
+        )
     };
-    // A job that another version began cannot be computed again; a result that is wrong must not stay as it
-    // is.
+    // A job of another version cannot be computed again, but its wrong result must not stay.
     let tiles = match again(job) {
         Ok(job) if with => job.with_dependents(tiles),
         Ok(_) => tiles,
         Err(reason) => {
-            tracing::error!(
-                "job {id} has results that are not believed any more, and cannot be continued: {reason}"
-            );
+            tracing::error!("job {id} has untrusted results and cannot be continued: {reason}");
             tiles
         }
     };
     let tiles: Vec<TileIndex> = tiles.into_iter().collect();
-    // An output that was computed from these tiles and is being committed is there before, and opened with
-    // them, or finds its lease taken back.
+    // Commits wait for this removal. An output computed from these tiles is either committed before it, and
+    // reopened with them, or its lease is revoked.
     let no_commits = OutputRemoval::begin(c);
     let opened = changes.invalidate_tiles(&no_commits, id, &tiles)?;
     let text = match was {
         JobPhase::Done => {
-            format!("the result is not believed any more; all {opened} tiles are computed again")
+            format!("the result is invalidated; all {opened} tiles are computed again")
         }
-        _ if with => format!("{opened} tiles are not believed any more and are computed again"),
+        _ if with => format!("{opened} tiles are invalidated and computed again"),
         _ => format!("the outputs of {opened} tiles are lost and are computed again"),
     };
     tracing::warn!("job {id}: {text}");
-    c.happened(LogEvent::of_job(Kind::Job, id, text));
+    c.record_event(LogEvent::of_job(EventKind::Job, id, text));
     let Some(record) = c
-        .store
+        .records
         .job(id)?
         .filter(|record| !record.state.phase().ended())
     else {

@@ -1,6 +1,7 @@
-//! Retention: the removal of ended jobs that are too old or too many, of their scenes, and of unneeded blobs.
+//! Retention: the removal of old ended jobs, of their scenes, and of unreferenced blobs.
 //!
-//! The clock of retention measures ages, so that a step of the wall clock does not delete anything.
+//! Jobs are also removed if their results and scenes exceed the maximum size. The clock of retention measures
+//! ages, so a step of the wall clock does not delete anything.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -12,17 +13,17 @@ use sightline_store::StoreError;
 
 use crate::blobs::ownership;
 use crate::blobs::references::{self, KeepingError};
+use crate::coordinator::Coordinator;
 use crate::jobs::control::JobError;
 use crate::jobs::delete;
 use crate::jobs::retention_clock::{Age, SpanUse};
-use crate::records::{JobChanges, OutputRemoval};
-use crate::state::Coordinator;
+use crate::records::{JobChanges, OutputRemoval, Records};
 use crate::telemetry::events::{self, LogEvent};
 
 /// The largest difference between the clock of a file server or a bucket and the clock of this machine.
 const OTHER_CLOCKS: Duration = Duration::from_secs(15 * 60);
 
-/// Something that stands in the way.
+/// A failure of the removal.
 #[derive(Debug, thiserror::Error)]
 enum RetentionFault {
     #[error(transparent)]
@@ -33,88 +34,99 @@ enum RetentionFault {
     Job(#[from] JobError),
 }
 
-/// Removes what is not kept. A fault is logged, and what it left is removed the next time.
+/// Removes data that exceeds the limits of retention. A failure is logged, and the next call removes the
+/// rest.
 pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
     if let Err(e) = old_jobs(c)
         .and_then(|()| many_bytes(c))
         .and_then(|()| old_scenes(c))
     {
-        tracing::warn!("what is too old is not removed yet: {e}");
+        tracing::warn!("expired jobs and scenes are not removed yet: {e}");
     }
     if !ownership::may_remove(c) {
         return;
     }
     let alone = |remove: &mut dyn FnMut()| {
-        // While these are held, no job that names a blob is submitted and no output is committed.
+        // While this thread holds these two locks, no job that references a blob is submitted and no output
+        // is committed.
         let changes = JobChanges::begin(c);
         let _removal = OutputRemoval::begin(c);
-        // Who leads no more does not know what others need.
-        if c.store.may_change().is_ok() {
+        // A coordinator that no longer leads does not know the references of newer jobs.
+        if c.records.may_change().is_ok() {
             remove();
         }
         changes.finish().run(c);
     };
-    let grace = c.retention.grace;
-    let is_old =
-        |digest: &Digest, written| is_old_blob(c, SpanUse::Blobs, (digest, written), grace);
-    match references::sweep(c.store.queries(), &*c.blobs, &is_old, &alone) {
+    let grace = c.config.retention.grace;
+    let is_old = |digest: &Digest, written| is_old_blob(c, SpanUse::Blobs, digest, written, grace);
+    match references::sweep(c.records.queries(), &*c.blobs, &is_old, &alone) {
         Ok((0, _)) => {}
         Ok((blobs, bytes)) => {
-            let text = format!("{blobs} blobs that nobody needs are removed, {bytes} bytes");
+            let text = format!("{blobs} unreferenced blobs with {bytes} bytes are removed");
             tracing::info!("{text}");
-            c.happened(LogEvent::of(events::Kind::Coordinator, text));
+            c.record_event(LogEvent::new(events::EventKind::Coordinator, text));
         }
-        Err(e) => tracing::warn!("blobs that nobody needs are not removed yet: {e}"),
+        Err(e) => tracing::warn!("unreferenced blobs are not removed yet: {e}"),
     }
     // A blob whose file cannot be inspected counts as stored.
-    c.uploads.forget_removed(c.retention.grace, |chunk| {
-        c.blobs.has(chunk).unwrap_or(true)
-    });
-    // Outputs of workers that did not come to commit them.
+    c.uploads
+        .chunks
+        .forget_removed(c.config.retention.grace, |chunk| {
+            c.blobs.has(chunk).unwrap_or(true)
+        });
+    // Remove outputs that workers uploaded directly to the blob store and did not commit.
     if let Some(direct) = c.blobs.direct()
-        && c.store.may_change().is_ok()
+        && c.records.may_change().is_ok()
     {
-        // The times are of the bucket's clock. A time in the future comes right with the wall clock.
+        // The times are from the bucket's clock. The advancing wall clock resolves a time in the future.
         let is_old = |written| blob_age(c, SpanUse::Blobs, written, grace) == Age::Old;
         match direct.sweep(&is_old) {
             Ok(0) => {}
             Ok(count) => {
-                tracing::info!("{count} outputs that were written and not committed are removed")
+                tracing::info!("{count} uncommitted outputs are removed")
             }
-            Err(e) => tracing::warn!("outputs that were not committed are not removed yet: {e}"),
+            Err(e) => tracing::warn!("uncommitted outputs are not removed yet: {e}"),
         }
     }
-    c.future_blobs().end_pass();
+    c.clock.future_blobs().end_pass();
     tracing::debug!("retention has finished");
 }
 
-/// Returns the age of a blob with this time.
-fn blob_age(c: &Coordinator, kind: SpanUse, written: SystemTime, age: Duration) -> Age {
-    // A server of files has another clock; buckets answer only requests whose clock is this close to theirs.
+/// Returns the age of a blob that was written at this time.
+fn blob_age(c: &Coordinator, span_use: SpanUse, written: SystemTime, age: Duration) -> Age {
+    // A file server has its own clock. Buckets reject requests whose clock differs from theirs by more than
+    // this margin.
     let written = written.duration_since(UNIX_EPOCH).unwrap_or_default();
     let written = written
         .saturating_add(OTHER_CLOCKS.min(age / 16))
         .as_millis();
     let now = c.now();
-    c.retention_clock()
-        .age(kind, u64::try_from(written).unwrap_or(u64::MAX), age, now)
+    c.clock.retention().age(
+        span_use,
+        u64::try_from(written).unwrap_or(u64::MAX),
+        age,
+        now,
+    )
 }
 
-/// Returns true if a blob is older than `age`. A blob whose time lies in the future has a wrong time, so
-/// its age counts from the first look at it.
+/// Returns true if a blob is older than `age`. A blob whose time lies in the future has a wrong time, so its
+/// age is measured from the first look at it.
 fn is_old_blob(
     c: &Coordinator,
-    kind: SpanUse,
-    (digest, written): (&Digest, SystemTime),
+    span_use: SpanUse,
+    digest: &Digest,
+    written: SystemTime,
     age: Duration,
 ) -> bool {
-    match blob_age(c, kind, written, age) {
+    match blob_age(c, span_use, written, age) {
         Age::Unknown | Age::Young => false,
         Age::Old => true,
         Age::Future => {
             let now = c.now();
-            let ran_ms = c.retention_clock().ran_ms(now);
-            c.future_blobs().is_old(kind, *digest, age, ran_ms)
+            let ran_ms = c.clock.retention().ran_ms(now);
+            c.clock
+                .future_blobs()
+                .is_old(span_use, *digest, age, ran_ms)
         }
     }
 }
@@ -122,7 +134,7 @@ fn is_old_blob(
 fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), RetentionFault> {
     tracing::info!("job {job} is deleted: {why}");
     match delete::delete(c, job) {
-        // Somebody was faster, or it is tried again.
+        // Another thread removed the job first, or the next call tries again.
         Ok(_)
         | Err(JobError::Store(
             StoreError::UnknownJob { .. } | StoreError::IllegalTransition { .. },
@@ -131,14 +143,15 @@ fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), RetentionFa
     }
 }
 
-/// Returns the ended jobs with the times of their ends, ascending by number: times may be wrong.
-fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, RetentionFault> {
+/// Returns the ended jobs with the times of their ends, in ascending order of their numbers, since times may
+/// be wrong.
+fn ended(records: &Records) -> Result<Vec<(u64, JobRecord)>, RetentionFault> {
     let with_end_time = |job: JobRecord| {
         job.finished_at_ms
             .filter(|_| job.state.phase().ended())
             .map(|at| (at, job))
     };
-    Ok(c.store
+    Ok(records
         .jobs()?
         .into_iter()
         .filter_map(with_end_time)
@@ -146,30 +159,30 @@ fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, RetentionFault> {
 }
 
 fn old_jobs(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
-    let Some(keep) = c.retention.keep else {
+    let Some(keep) = c.config.retention.keep else {
         return Ok(());
     };
     let now = c.now();
-    for (at, job) in ended(c)? {
-        let age = c.retention_clock().age(SpanUse::Jobs, at, keep, now);
+    for (at, job) in ended(&c.records)? {
+        let age = c.clock.retention().age(SpanUse::Jobs, at, keep, now);
         if matches!(age, Age::Old | Age::Future) {
-            delete(c, job.id, "it ended longer ago than jobs are kept")?;
+            delete(c, job.id, "the job ended longer ago than --keep allows")?;
         }
     }
     Ok(())
 }
 
 fn many_bytes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
-    let Some(most) = c.retention.keep_bytes else {
+    let Some(most) = c.config.retention.keep_bytes else {
         return Ok(());
     };
     let mut scenes: BTreeMap<Digest, u64> = BTreeMap::new();
-    for scene in c.store.scenes()? {
+    for scene in c.records.scenes()? {
         scenes.insert(scene.digest, scene.bytes);
     }
-    let ended = ended(c)?;
+    let ended = ended(&c.records)?;
     let named: BTreeSet<Digest> = ended.iter().map(|(_, job)| job.scene).collect();
-    // These do not go with a job.
+    // The removal of jobs does not free these scenes.
     let stays = scenes
         .iter()
         .filter(|(scene, _)| !named.contains(*scene))
@@ -177,7 +190,8 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
     let stays = stays.fold(0, u64::saturating_add);
     if stays >= most {
         tracing::warn!(
-            "scenes without ended jobs have {stays} bytes, more than are kept: no job is deleted"
+            "scenes without ended jobs have {stays} bytes, which is not below --keep-bytes; no job \
+             is deleted"
         );
         return Ok(());
     }
@@ -199,7 +213,7 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
         delete(
             c,
             job.id,
-            "results and scenes have more bytes than are kept",
+            "results and scenes have more bytes than --keep-bytes allows",
         )?;
         if let JobState::Done { result, bytes } = job.state
             && let Some((_, jobs)) = results.get_mut(&result)
@@ -209,23 +223,23 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
                 sum -= bytes;
             }
         }
-        // It goes with the last job that names it.
-        if c.store.scene(&job.scene)?.is_none() {
+        // The removal of the last job that references the scene removes the scene, too.
+        if c.records.scene(&job.scene)?.is_none() {
             sum -= scenes.remove(&job.scene).unwrap_or(0);
         }
     }
     Ok(())
 }
 
-/// Scenes that no job names any more, and that were sent longer ago than jobs are kept.
+/// Removes scenes that no job references and that were uploaded longer ago than `keep`.
 fn old_scenes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
-    let Some(keep) = c.retention.keep else {
+    let Some(keep) = c.config.retention.keep else {
         return Ok(());
     };
-    for scene in c.store.scenes()? {
+    for scene in c.records.scenes()? {
         let written = c.blobs.written(&scene.digest).map_err(KeepingError::from)?;
-        // One whose blob is lost can only be sent again.
-        if written.is_none_or(|at| is_old_blob(c, SpanUse::Jobs, (&scene.digest, at), keep)) {
+        // A client can replace a lost blob only by a new upload, so remove the record.
+        if written.is_none_or(|at| is_old_blob(c, SpanUse::Jobs, &scene.digest, at, keep)) {
             let mut changes = JobChanges::begin(c);
             let deleted = changes.delete_scene(scene.digest);
             changes.finish().run(c);

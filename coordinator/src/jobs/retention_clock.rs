@@ -1,22 +1,26 @@
-//! The clock of retention: which recorded times are old for certain, whatever the wall clock does.
+//! The clock of retention, which decides which recorded times are certainly older than an age.
 //!
-//! Ends of jobs and blobs have times of the wall clock, which can step by years. Two other measures
-//! check the wall clock: the monotonic clock of this process, and the *run time*, the monotonic time
-//! that coordinators have run on the store. The store keeps the run time in a stamp
+//! An *age* is the duration after which retention deletes data, such as `--keep` ([`Ages`]). A step of the
+//! wall clock does not affect the decision.
+//!
+//! Ends of jobs and blobs have times of the wall clock, which can step by years. Two other measures check the
+//! wall clock: the monotonic clock of this process, and the *run time*. The run time is the monotonic time
+//! for which coordinators have run on the store. The store contains the run time in a stamp
 //! ([`RetentionStamp`]), with the wall clock of the same moment.
 //!
-//! A *trusted span* is a span of run time up to now in which the wall clock and the monotonic clock
-//! agree. A step of the wall clock begins another span. Downtime is time that only the wall clock shows,
-//! so it is added to the *doubt* of the span. When a span has too much doubt, the *next* span begins. It
-//! replaces the first one as soon as it is as long as the age. A time is old ([`Age::Old`]) if both hold:
+//! A *trusted span* is a span of run time up to now in which the wall clock and the monotonic clock agree. A
+//! step of the wall clock starts another span. Only the wall clock measures downtime, so downtime is added to
+//! the *doubt* of the span. If a span has too much doubt, the *next* span starts. The next span replaces the
+//! first span as soon as the next span is as long as the age. A time is old ([`Age::Old`]) if both conditions
+//! hold:
 //!
-//! - The trusted span is as long as the age. So a record from before the span has that age, whatever time
-//!   it has.
+//! - The trusted span is as long as the age. So any record from before the span is older than the age,
+//!   regardless of its time.
 //! - The wall clock has advanced since the record by the age, the doubt, and twice the largest disagreement
-//!   in this process. So a record from inside the span has that age, too.
+//!   in this process. So a record from inside the span is older than the age, too.
 //!
-//! A time that lies further in the future than doubts and a lost stamp explain is from before the span, too.
-//! After the last step, retention is late by at most [`longest_delay`] of run time.
+//! A time in the future is from before the span if neither doubt nor a lost stamp explains it. After the last
+//! step, retention is late by at most [`longest_delay`] of run time.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -26,30 +30,30 @@ use sightline_records::{NextSpan, RetentionStamp, TrustedSpan};
 
 use crate::clock::Moment;
 
-/// Largest tolerated disagreement of the two clocks of a process, in milliseconds. Time daemons correct
-/// less at once while they run well, and one minute delays no deletion noticeably.
+/// Maximum tolerated disagreement of a process's two clocks, in milliseconds. A well-running time daemon
+/// corrects less at once, and one minute does not delay deletions noticeably.
 const MAX_DRIFT_MS: u64 = 60_000;
-/// Smallest tolerated disagreement, in milliseconds: the two clocks are read one after the other.
+/// Minimum tolerated disagreement, in milliseconds, because the two clocks are read one after the other.
 const MIN_DRIFT_MS: u64 = 1000;
-/// Longest time between two stamps, in milliseconds.
+/// Maximum time between two stamps, in milliseconds.
 const STAMP_MS: u64 = 5 * 60_000;
-/// Shortest time between two stamps, in milliseconds.
+/// Minimum time between two stamps, in milliseconds.
 const MIN_STAMP_MS: u64 = 1000;
-/// Time until another stamp after one that was not recorded, in milliseconds.
+/// The time after which a stamp that was not recorded is tried again, in milliseconds.
 const RETRY_MS: u64 = 10_000;
-/// Longest run time after a stamp in which ends of jobs are recorded, in milliseconds.
+/// Maximum run time after a stamp in which ends of jobs are recorded, in milliseconds.
 const MAX_UNSTAMPED_MS: u64 = 2 * STAMP_MS;
 
 /// The use of a trusted span.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum SpanUse {
-    /// The age of ended jobs and of scenes that no job names.
+    /// The ages of ended jobs, and of scenes without jobs.
     Jobs,
-    /// The age of blobs that no record names.
+    /// The ages of unreferenced blobs.
     Blobs,
 }
 
-/// The ages from which on retention deletes. `None` deletes nothing.
+/// The ages at which retention deletes data. `None` disables the deletion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Ages {
     /// The age of ended jobs and of scenes.
@@ -61,36 +65,47 @@ pub(crate) struct Ages {
 /// The age of a recorded time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Age {
-    /// The age cannot be known yet: the trusted span is too short.
+    /// An age that cannot be determined yet, because the trusted span is too short.
     Unknown,
-    /// The record may be younger than the age.
+    /// An age that may be lower than the limit.
     Young,
-    /// The record is older than the age.
+    /// An age that exceeds the limit.
     Old,
-    /// The time lies in the future. A record of this coordinator is older than the age; a time of another
-    /// machine, such as that of a bucket, may be wrong by more.
+    /// A time in the future. A record of this coordinator with such a time is older than the limit. The time
+    /// of another machine, such as a bucket's, may be wrong by more.
     Future,
 }
 
 /// A pause or a delay of deletions, for the log and for users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Pause {
-    /// The deletions that pause.
-    pub(crate) kind: SpanUse,
-    /// The advance of the wall clock compared with the monotonic clock, or with the last stamp.
+    /// The use of the span whose deletions pause.
+    pub(crate) span_use: SpanUse,
+    /// The advance of the wall clock compared with the monotonic clock, or with the last stamp, in
+    /// milliseconds.
     pub(crate) jump_ms: i64,
-    /// True if no coordinator ran in the time of the advance, which may be downtime. Then deletions are late
-    /// by as much, and do not pause.
+    /// True if no coordinator ran during the advance, which may be downtime. Then deletions are late by the
+    /// same time, and do not pause.
     pub(crate) at_start: bool,
-    /// The run time after which deletions are in time again, in milliseconds.
+    /// The time for which coordinators must still run until the pause or the delay of deletions ends, in
+    /// milliseconds.
     pub(crate) lasts_ms: u64,
+}
+
+/// A difference between the wall clock and the other clocks.
+#[derive(Clone, Copy, Debug)]
+struct Jump {
+    /// The difference in milliseconds, positive if the wall clock is ahead.
+    by_ms: i64,
+    /// True if the difference appeared at the start of a coordinator.
+    at_start: bool,
 }
 
 /// The two clocks at one moment, in milliseconds.
 #[derive(Clone, Copy, Debug, Default)]
 struct Reading {
     wall_ms: u64,
-    /// The run time.
+    /// The run time, in milliseconds.
     ran_ms: u64,
 }
 
@@ -98,15 +113,15 @@ struct Reading {
 #[derive(Clone, Copy, Debug)]
 struct Span {
     stored: TrustedSpan,
-    /// The reading that others are compared with.
+    /// The reading that later readings are compared with.
     base: Reading,
-    /// The largest disagreement since.
+    /// The largest disagreement of the clocks since `base`, in milliseconds.
     drift_ms: u64,
-    /// The report that was made and still holds.
+    /// The last report, which still holds.
     reported: Reported,
 }
 
-/// A report of the delay of deletions; the later ones say more.
+/// A report about the deletions, in ascending order of severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Reported {
     Nothing,
@@ -114,7 +129,7 @@ enum Reported {
     Pause,
 }
 
-/// The clocks of retention in a running coordinator.
+/// The clock of retention in a running coordinator.
 #[derive(Debug)]
 pub(crate) struct RetentionClock {
     started: Moment,
@@ -122,14 +137,15 @@ pub(crate) struct RetentionClock {
     jobs: Span,
     blobs: Span,
     pauses: Vec<Pause>,
-    /// The run time of the last recorded stamp; `None` while a change of a span is not recorded.
+    /// The run time of the last recorded stamp, in milliseconds. `None` while a change of a span is not
+    /// recorded.
     stamped_ms: Option<u64>,
-    /// The run time of the last stamp that the store did not record.
+    /// The run time of the last stamp that the store did not record, in milliseconds.
     failed_ms: Option<u64>,
 }
 
 impl RetentionClock {
-    /// Starts on the last stamp of a store. The caller records [`Self::stamp`] before anything else.
+    /// Starts from the last stamp of a store. The caller records [`Self::stamp`] before any other change.
     pub(crate) fn new(last: Option<RetentionStamp>, ages: Ages, now: Moment) -> Self {
         let last_stamp = last.unwrap_or_default();
         let base = Reading {
@@ -163,28 +179,35 @@ impl RetentionClock {
         this
     }
 
-    /// Compares the clocks. Every time that a record gets has to be observed before.
+    /// Compares the clocks at `now`. The caller has to observe each time before it writes the time to a
+    /// record.
     pub(crate) fn observe(&mut self, now: Moment, ages: Ages) {
         let reading = self.reading(now);
-        for (kind, age) in [(SpanUse::Jobs, ages.jobs), (SpanUse::Blobs, ages.blobs)] {
-            let span = match kind {
+        for (span_use, age) in [(SpanUse::Jobs, ages.jobs), (SpanUse::Blobs, ages.blobs)] {
+            let span = match span_use {
                 SpanUse::Jobs => &mut self.jobs,
                 SpanUse::Blobs => &mut self.blobs,
             };
-            if span.observe(reading, kind, age, &mut self.pauses) {
+            if span.observe(reading, span_use, age, &mut self.pauses) {
                 self.stamped_ms = None;
             }
         }
     }
 
-    /// Returns the age of a recorded time of the wall clock, compared with `age`.
-    pub(crate) fn age(&self, kind: SpanUse, recorded_ms: u64, age: Duration, now: Moment) -> Age {
-        let (span, now, age) = (self.span(kind), self.reading(now), milliseconds(age));
+    /// Compares a recorded time of the wall clock with the limit `age`.
+    pub(crate) fn age(
+        &self,
+        span_use: SpanUse,
+        recorded_ms: u64,
+        age: Duration,
+        now: Moment,
+    ) -> Age {
+        let (span, now, age) = (self.span(span_use), self.reading(now), milliseconds(age));
         if now.ran_ms.saturating_sub(span.stored.begun_ms) < age {
             return Age::Unknown;
         }
         let slack = span.doubt();
-        // The process that made the record may have run for a while after its last stamp.
+        // The process that wrote the record may have run for a while after its last stamp.
         if recorded_ms
             > now
                 .wall_ms
@@ -204,15 +227,15 @@ impl RetentionClock {
         self.reading(now).ran_ms
     }
 
-    /// Returns true if a stamp has to be recorded before the next end of a job: a change of a span is
-    /// not in the store yet, or the last stamp is too old.
+    /// Returns true if a stamp has to be recorded before the next end of a job. This is so if a change of a
+    /// span is not in the store yet, or the last stamp is too old.
     pub(crate) fn is_unrecorded(&self, now: Moment) -> bool {
         let ran = self.ran_ms(now);
         self.stamped_ms
             .is_none_or(|at| ran.saturating_sub(at) >= MAX_UNSTAMPED_MS)
     }
 
-    /// Returns true if a stamp should be recorded.
+    /// Returns true if a stamp is due.
     pub(crate) fn is_due(&self, now: Moment, ages: Ages) -> bool {
         let shortest = ages
             .jobs
@@ -232,12 +255,12 @@ impl RetentionClock {
                 .is_none_or(|at| ran.saturating_sub(at) >= every)
     }
 
-    /// Notes that the store has not recorded a stamp.
+    /// Records that the store did not record a stamp.
     pub(crate) fn failed(&mut self, now: Moment) {
         self.failed_ms = Some(self.ran_ms(now));
     }
 
-    /// Returns the stamp to be recorded.
+    /// Returns the stamp for the store to record.
     pub(crate) fn stamp(&self, now: Moment) -> RetentionStamp {
         let Reading { wall_ms, ran_ms } = self.reading(now);
         let stored = |span: &Span| {
@@ -259,9 +282,9 @@ impl RetentionClock {
         }
     }
 
-    /// Notes that the store has recorded this stamp.
+    /// Records that the store has recorded this stamp.
     pub(crate) fn recorded(&mut self, stamp: &RetentionStamp) {
-        // A step since then is in a later stamp.
+        // A step after the stamp is part of a later stamp.
         let begun = |span: &TrustedSpan| (span.begun_ms, span.next.map(|next| next.begun_ms));
         let is_same = |span: &Span, stamped: &TrustedSpan| begun(&span.stored) == begun(stamped);
         if is_same(&self.jobs, &stamp.jobs) && is_same(&self.blobs, &stamp.blobs) {
@@ -270,13 +293,13 @@ impl RetentionClock {
         }
     }
 
-    /// Returns the pauses that began since the last call.
+    /// Removes and returns the pauses that started since the last call.
     pub(crate) fn take_pauses(&mut self) -> Vec<Pause> {
         std::mem::take(&mut self.pauses)
     }
 
-    fn span(&self, kind: SpanUse) -> &Span {
-        match kind {
+    fn span(&self, span_use: SpanUse) -> &Span {
+        match span_use {
             SpanUse::Jobs => &self.jobs,
             SpanUse::Blobs => &self.blobs,
         }
@@ -292,8 +315,8 @@ impl RetentionClock {
 }
 
 impl Span {
-    /// Returns the disagreement that ages have to allow for: each record and the current time can be off
-    /// by the largest disagreement in this process.
+    /// Returns the disagreement that ages have to allow for, in milliseconds. Each record and the current
+    /// time can be wrong by the largest disagreement in this process.
     fn doubt(&self) -> u64 {
         self.with_drift(self.stored.doubt_ms)
     }
@@ -302,15 +325,15 @@ impl Span {
         doubt_ms.saturating_add(self.drift_ms.saturating_mul(2))
     }
 
-    /// Adds the difference between the wall clock at a start and the last stamp.
+    /// Adds the difference between the wall clock at a start and the last stamp to the doubt.
     fn add_gap(
         &mut self,
         gap_ms: i64,
-        kind: SpanUse,
+        span_use: SpanUse,
         age: Option<Duration>,
         pauses: &mut Vec<Pause>,
     ) {
-        // The previous process may have disagreed by the most after its last stamp.
+        // The clocks of the previous process may have disagreed by the maximum after its last stamp.
         let doubt = gap_ms.unsigned_abs().saturating_add(max_drift(age));
         self.stored.doubt_ms = self.stored.doubt_ms.saturating_add(doubt);
         match (&mut self.stored.next, age) {
@@ -320,13 +343,18 @@ impl Span {
                     begun_ms: self.base.ran_ms,
                     doubt_ms: 0,
                 });
-                self.report((gap_ms, true), (kind, age), pauses);
+                let jump = Jump {
+                    by_ms: gap_ms,
+                    at_start: true,
+                };
+                self.report(jump, span_use, age, pauses);
             }
             (None, _) => {}
         }
     }
 
-    /// Replaces the span by the next one, if that is as long as the age; returns true if it was replaced.
+    /// Replaces the span by its next span if the next span is as long as the age. Returns true if it was
+    /// replaced.
     fn advance(&mut self, ran_ms: u64, age: Option<Duration>) -> bool {
         let (Some(next), Some(age)) = (self.stored.next, age) else {
             return false;
@@ -348,11 +376,11 @@ impl Span {
         true
     }
 
-    /// Compares the clocks; returns true if another span begins.
+    /// Compares the clocks at `now`. Returns true if another span starts.
     fn observe(
         &mut self,
         now: Reading,
-        kind: SpanUse,
+        span_use: SpanUse,
         age: Option<Duration>,
         pauses: &mut Vec<Pause>,
     ) -> bool {
@@ -360,7 +388,11 @@ impl Span {
         let drift = wall.saturating_sub_unsigned(now.ran_ms.saturating_sub(self.base.ran_ms));
         let begins = drift.unsigned_abs() > max_drift(age);
         if begins {
-            self.restart(now, (drift, false), (kind, age), pauses);
+            let jump = Jump {
+                by_ms: drift,
+                at_start: false,
+            };
+            self.restart(now, jump, span_use, age, pauses);
         } else {
             self.drift_ms = self.drift_ms.max(drift.unsigned_abs());
         }
@@ -379,8 +411,9 @@ impl Span {
     fn restart(
         &mut self,
         now: Reading,
-        jump: (i64, bool),
-        (kind, age): (SpanUse, Option<Duration>),
+        jump: Jump,
+        span_use: SpanUse,
+        age: Option<Duration>,
         pauses: &mut Vec<Pause>,
     ) {
         let stored = TrustedSpan {
@@ -394,18 +427,18 @@ impl Span {
             ..*self
         };
         match age {
-            Some(age) => self.report(jump, (kind, age), pauses),
+            Some(age) => self.report(jump, span_use, age, pauses),
             None => self.reported = Reported::Nothing,
         }
     }
 
-    /// Reports a pause or a delay, unless as much is reported already: a clock can step every minute.
-    fn report(
-        &mut self,
-        (jump_ms, at_start): (i64, bool),
-        (kind, age): (SpanUse, Duration),
-        pauses: &mut Vec<Pause>,
-    ) {
+    /// Reports a pause or a delay, unless a report of the same severity still holds. A clock can step every
+    /// minute, so reports have to be limited.
+    fn report(&mut self, jump: Jump, span_use: SpanUse, age: Duration, pauses: &mut Vec<Pause>) {
+        let Jump {
+            by_ms: jump_ms,
+            at_start,
+        } = jump;
         let report = if at_start {
             Reported::Delay
         } else {
@@ -414,7 +447,7 @@ impl Span {
         if self.reported < report {
             self.reported = report;
             pauses.push(Pause {
-                kind,
+                span_use,
                 jump_ms,
                 at_start,
                 lasts_ms: milliseconds(age),
@@ -423,7 +456,7 @@ impl Span {
     }
 }
 
-/// Blobs with times in the future: for each the run time of the first look at it, and the pass of the
+/// The blobs with times in the future. Each has the run time of the first look at it, and the pass of the
 /// last look.
 #[derive(Debug, Default)]
 pub(crate) struct FutureBlobs {
@@ -435,17 +468,17 @@ impl FutureBlobs {
     /// Returns true if the first look at the blob was longer ago than `age`.
     pub(crate) fn is_old(
         &mut self,
-        kind: SpanUse,
+        span_use: SpanUse,
         blob: Digest,
         age: Duration,
         ran_ms: u64,
     ) -> bool {
-        let (first, pass) = self.looks.entry((kind, blob)).or_insert((ran_ms, 0));
+        let (first, pass) = self.looks.entry((span_use, blob)).or_insert((ran_ms, 0));
         *pass = self.pass;
         ran_ms.saturating_sub(*first) >= milliseconds(age)
     }
 
-    /// Ends a pass over all blobs: forgets blobs that are gone or have another time.
+    /// Ends a pass over all blobs, and removes the blobs that this pass did not look at.
     pub(crate) fn end_pass(&mut self) {
         let current = self.pass;
         self.looks.retain(|_, (_, pass)| *pass == current);
@@ -453,21 +486,21 @@ impl FutureBlobs {
     }
 }
 
-/// Returns the largest tolerated disagreement of the two clocks of a process for an age.
+/// Returns the maximum tolerated disagreement of a process's two clocks for an age, in milliseconds.
 fn max_drift(age: Option<Duration>) -> u64 {
     age.map_or(MAX_DRIFT_MS, |age| {
         (milliseconds(age) / 16).clamp(MIN_DRIFT_MS, MAX_DRIFT_MS)
     })
 }
 
-/// Returns the largest doubt of a trusted span for an age: an eighth.
+/// Returns the maximum doubt of a trusted span for an age, in milliseconds: an eighth of the age.
 fn max_doubt(age: Duration) -> u64 {
     milliseconds(age) / 8
 }
 
-/// Returns the longest run time, without a further step and without a restart, until a record counts as
-/// old. The sum has the age for the span, the age and its doubt for the record, and the doubt for a time
-/// in the future.
+/// Returns the longest run time until a record counts as old, without a further step and without a restart.
+/// The sum contains the age for the span, the age and its doubt for the record, and the doubt for a time in
+/// the future.
 #[cfg(test)]
 fn longest_delay(age: Duration) -> Duration {
     age * 5 / 2 + Duration::from_millis(4 * MAX_DRIFT_MS + MAX_UNSTAMPED_MS)
@@ -492,19 +525,19 @@ mod tests {
 
     const HOUR: u64 = 3_600_000;
     const YEARS: i64 = 10 * 365 * 24 * HOUR as i64;
-    /// The wall clock at the start, in 2023.
+    /// The wall clock at the start, in milliseconds since 1970: a time in 2023.
     const START: u64 = 1_700_000_000_000;
 
-    /// A coordinator, its store, and the true time.
+    /// A simulated coordinator with its store and the true time.
     struct World {
         origin: Instant,
         true_ms: u64,
-        /// The error of the wall clock.
+        /// The error of the wall clock, in milliseconds.
         error_ms: i64,
         age: Duration,
         clock: RetentionClock,
         stored: RetentionStamp,
-        /// The recorded and the true times of ends.
+        /// The recorded and the true times of the ends of jobs, in milliseconds.
         ends: Vec<(u64, u64)>,
     }
 
@@ -587,7 +620,7 @@ mod tests {
             self.record();
         }
 
-        /// Deletes old jobs; returns the smallest true age of a deleted job.
+        /// Deletes old jobs. Returns the smallest true age of a deleted job.
         fn pass(&mut self) -> Option<Duration> {
             let (now, age, true_ms) = (self.now(), self.age, self.true_ms);
             let mut youngest = None;
@@ -606,7 +639,8 @@ mod tests {
             youngest
         }
 
-        /// Runs with an eye on the clock, and returns the smallest true age of a deleted job.
+        /// Runs for `ms` milliseconds in 64 steps, and deletes old jobs after each. Returns the smallest true
+        /// age of a deleted job.
         fn run(&mut self, ms: u64) -> Option<Duration> {
             let mut youngest = None;
             for step in 0..64 {
@@ -623,7 +657,7 @@ mod tests {
     }
 
     #[test]
-    fn job_is_deleted_soon_after_its_age() {
+    fn job_is_deleted_soon_after_reaching_age() {
         let mut world = World::new(day());
         world.run(100 * HOUR);
         world.end();
@@ -645,13 +679,13 @@ mod tests {
             assert_eq!(world.pass(), None);
             let lasts_ms = 24 * HOUR;
             let pause = Pause {
-                kind: SpanUse::Jobs,
+                span_use: SpanUse::Jobs,
                 jump_ms: step,
                 at_start: false,
                 lasts_ms,
             };
             assert_eq!(world.clock.take_pauses(), [pause]);
-            // A second step in the pause is not reported again.
+            // The coordinator does not report a second step during the pause.
             world.error_ms = 0;
             assert_eq!(world.run(23 * HOUR), None);
             assert_eq!(world.clock.take_pauses(), []);
@@ -704,9 +738,9 @@ mod tests {
             world.restart(16 * HOUR);
         }
         assert!(youngest >= Some(day()) && world.ends.is_empty());
-        // The pause is reported when it begins and not at each start.
+        // The coordinator reports the pause when it starts and not at each restart.
         assert_eq!(world.clock.take_pauses(), []);
-        // So is the age of later ones.
+        // The ages of later records are unknown, too.
         world.end();
         for _ in 0..9 {
             youngest = world.run(8 * HOUR).or(youngest);
@@ -731,7 +765,7 @@ mod tests {
     fn step_before_crash_is_known_after_restart() {
         let mut world = World::new(day());
         world.run(30 * HOUR);
-        // The wall clock is wrong only while the job ends; the process ends at once.
+        // The wall clock is wrong only at the end of the job, and the process ends immediately afterwards.
         world.error_ms = -YEARS;
         world.end();
         world.error_ms = 0;
@@ -746,14 +780,14 @@ mod tests {
         world.record();
         world.true_ms += STAMP_MS;
         world.end();
-        // The clock is as late as the end was after the stamp.
+        // The wall clock goes back by the time between the stamp and the end.
         world.error_ms -= STAMP_MS as i64;
         world.restart(0);
         assert_eq!(world.pass(), None);
     }
 
     #[test]
-    fn first_start_waits_for_the_age() {
+    fn first_start_waits_for_full_age() {
         let mut world = World::new(day());
         world.ends.push((START - 2 * YEARS as u64, 0));
         assert_eq!(world.run(24 * HOUR - 64), None);
@@ -769,7 +803,7 @@ mod tests {
         assert!(!blobs.is_old(SpanUse::Blobs, [1; 32], day(), 4 + 24 * HOUR));
         assert!(blobs.is_old(SpanUse::Blobs, [1; 32], day(), 5 + 24 * HOUR));
         blobs.end_pass();
-        // Not looked at in this pass, because it is gone.
+        // This pass does not look at the blob, because the blob no longer exists.
         blobs.end_pass();
         assert!(blobs.looks.is_empty());
     }
@@ -784,7 +818,7 @@ mod tests {
         Restart(u64),
     }
 
-    /// Acts in units of a 64th of the age.
+    /// Returns a strategy for actions in units of a 64th of the age.
     fn act() -> impl Strategy<Value = Act> {
         let step = prop_oneof![
             -3..4i64,
@@ -807,9 +841,9 @@ mod tests {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2000) })]
 
         #[test]
-        fn nothing_younger_than_its_age_is_deleted_and_everything_is_in_time(
-            (age_ms, acts) in (prop_oneof![Just(60_000), Just(HOUR), Just(24 * HOUR), Just(720 * HOUR)],
-                proptest::collection::vec((act(), 0..60_000i64), 1..60))
+        fn only_old_jobs_are_deleted_and_without_excess_delay(
+            age_ms in prop_oneof![Just(60_000), Just(HOUR), Just(24 * HOUR), Just(720 * HOUR)],
+            acts in proptest::collection::vec((act(), 0..60_000i64), 1..60),
         ) {
             let age = Duration::from_millis(age_ms);
             let mut world = World::new(age);
@@ -817,7 +851,7 @@ mod tests {
             for (act, fine) in acts {
                 match act {
                     Act::Run(units) => world.true_ms += units * unit + fine as u64,
-                    // Years as they are; smaller steps in units, or finer.
+                    // Steps of years are taken as they are. Smaller steps are in units, or finer.
                     Act::Step(units) if units.abs() < 50 => world.error_ms += units * (fine + 1),
                     Act::Step(ms) => world.error_ms = ms,
                     Act::Tick => world.tick(),

@@ -1,30 +1,30 @@
-//! Stamps of the clock of retention in the store, and reports of the pauses that the clock finds.
+//! Stamps of the clock of retention in the store, and reports of the pauses that the clock detects.
 
 use std::time::Duration;
 
+use crate::coordinator::Coordinator;
 use crate::jobs::retention_clock::{Pause, SpanUse};
-use crate::state::Coordinator;
 use crate::telemetry::events::{self, LogEvent};
 
-/// Returns the wall clock for the record of a job's end, in milliseconds since 1970. A step of the wall
-/// clock is in the store before, so that a crash cannot hide that the time of the record is wrong.
+/// Returns the wall clock for the record of a job's end, in milliseconds since 1970. A step of the wall clock
+/// is written to the store first, so that a crash cannot hide that the time of the record is wrong.
 pub(crate) fn end_time(c: &Coordinator) -> u64 {
     let now = c.now();
-    if c.retention_clock().is_unrecorded(now) {
+    if c.clock.retention().is_unrecorded(now) {
         record(c);
     }
     now.unix_ms
 }
 
-/// Returns true if [`record_if_due`] should be called.
+/// Returns true if the caller should call [`record_if_due`].
 pub(crate) fn is_due(c: &Coordinator) -> bool {
     let now = c.now();
-    c.retention_clock().is_due(now, c.ages())
+    c.clock.retention().is_due(now, c.config.ages())
 }
 
 /// Records a stamp if it is still due and no other thread records one.
 pub(crate) fn record_if_due(c: &Coordinator) {
-    if let Some(one) = c.try_stamping()
+    if let Some(one) = c.clock.try_stamping()
         && is_due(c)
     {
         stamp(c);
@@ -34,9 +34,9 @@ pub(crate) fn record_if_due(c: &Coordinator) {
 }
 
 /// Records a stamp of the clock in the store, and reports new pauses. A stamp that cannot be recorded is
-/// logged, and tried again some seconds later, or at the next end of a job.
+/// logged. It is tried again some seconds later, or at the next end of a job.
 pub(crate) fn record(c: &Coordinator) {
-    let one = c.stamping();
+    let one = c.clock.stamping();
     stamp(c);
     drop(one);
     report(c);
@@ -44,29 +44,29 @@ pub(crate) fn record(c: &Coordinator) {
 
 fn stamp(c: &Coordinator) {
     let now = c.now();
-    let stamp = c.retention_clock().stamp(now);
-    match c.store.stamp_retention(stamp) {
-        Ok(()) => c.retention_clock().recorded(&stamp),
+    let stamp = c.clock.retention().stamp(now);
+    match c.records.stamp_retention(stamp) {
+        Ok(()) => c.clock.retention().recorded(&stamp),
         Err(e) => {
-            c.retention_clock().failed(now);
-            tracing::warn!("the clock of retention is not recorded yet: {e}");
+            c.clock.retention().failed(now);
+            tracing::warn!("the stamp of the clock of retention is not recorded yet: {e}");
         }
     }
 }
 
 /// Reports new pauses in the log and to users.
 pub(crate) fn report(c: &Coordinator) {
-    let pauses = c.retention_clock().take_pauses();
+    let pauses = c.clock.retention().take_pauses();
     for pause in pauses {
         let text = text(&pause);
         tracing::warn!("{text}");
-        c.happened(LogEvent::of(events::Kind::Coordinator, text));
+        c.record_event(LogEvent::new(events::EventKind::Coordinator, text));
     }
 }
 
 fn text(pause: &Pause) -> String {
     let Pause {
-        kind,
+        span_use,
         jump_ms,
         at_start,
         lasts_ms,
@@ -84,19 +84,20 @@ fn text(pause: &Pause) -> String {
             format!("the wall clock stepped forward by {jump}, or this machine slept")
         }
     };
-    let what = match (kind, at_start) {
+    let what = match (span_use, at_start) {
         (SpanUse::Jobs, false) => "ended jobs and scenes are not deleted by age".to_owned(),
-        (SpanUse::Blobs, false) => "unneeded blobs are not removed".to_owned(),
+        (SpanUse::Blobs, false) => "unreferenced blobs are not removed".to_owned(),
         (SpanUse::Jobs, true) => format!("ended jobs and scenes are deleted up to {jump} late"),
-        (SpanUse::Blobs, true) => format!("unneeded blobs are removed up to {jump} late"),
+        (SpanUse::Blobs, true) => format!("unreferenced blobs are removed up to {jump} late"),
     };
     format!(
-        "{cause}: {what} until coordinators have run for another {}; check the time service of the machine",
+        "{cause}: {what} until coordinators have run for another {}; check the time service of the \
+         machine",
         spoken(lasts_ms)
     )
 }
 
-/// Returns a duration in its largest unit.
+/// Formats a duration in its largest unit.
 fn spoken(milliseconds: u64) -> String {
     let seconds = Duration::from_millis(milliseconds).as_secs_f64();
     let units = [

@@ -1,5 +1,7 @@
-//! The stored specification of a job: in the job's record, or, when its viewpoints or its boxes make it too
-//! large for a record, as a blob. The record then has the blob's digest and the specification without them.
+//! The stored specification of a job.
+//!
+//! The specification is in the job's record. If its viewpoints or boxes make it too large for a record, it is
+//! a blob. The record then has the blob's digest, and the specification without viewpoints and boxes.
 
 use prost::Message as _;
 use sightline_model::job::message::{has_boxes, remove_large_parts};
@@ -9,14 +11,15 @@ use sightline_records::MAX_SPEC_BYTES;
 use sightline_records::ids::Digest;
 use sightline_store::{BlobError, Blobs};
 
-/// The first byte of a record whose whole specification is a blob; no message begins with it. The blob's
-/// digest and the specification without its large parts follow.
+/// The first byte of a stored specification whose complete form is a blob. No message starts with this byte.
+/// The blob's digest and the specification without its large parts follow it.
 const NAMED: u8 = 0x07;
 
-/// Returns the bytes of a record for a specification. Stores it as a blob when it is too large.
+/// Returns the specification as the bytes that the job's record stores. A specification that is too large for
+/// the record is stored as a blob.
 ///
 /// # Errors
-/// [`BlobError`].
+/// [`BlobError`] if the blob cannot be stored.
 pub(crate) fn stored(blobs: &dyn Blobs, spec: &JobSpec) -> Result<Vec<u8>, BlobError> {
     let mut message = spec.to_message();
     let whole = message.encode_to_vec();
@@ -31,10 +34,11 @@ pub(crate) fn stored(blobs: &dyn Blobs, spec: &JobSpec) -> Result<Vec<u8>, BlobE
     Ok(bytes)
 }
 
-/// Reads a record's specification, without its large parts if the whole is a blob, and the blob's digest.
+/// Reads a record's specification and the digest of its blob, if it has one. The specification then lacks its
+/// large parts.
 ///
 /// # Errors
-/// The reason, when it cannot be decoded.
+/// The reason, if the bytes cannot be decoded.
 pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String> {
     let named = bytes.split_first().filter(|(kind, _)| **kind == NAMED);
     let (rest, digest) = match named.and_then(|(_, bytes)| bytes.split_first_chunk::<32>()) {
@@ -43,10 +47,11 @@ pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String
     };
     v1::JobSpec::decode(rest)
         .map(|spec| (spec, digest))
-        .map_err(|e| format!("{e}; submit it again"))
+        .map_err(|e| format!("{e}; submit the job again"))
 }
 
-/// Returns the receivers that a record's specification names, if it can be read and names some.
+/// Returns the receivers that a record's specification references, or `None` without receivers or if the
+/// record cannot be read.
 pub(crate) fn receivers(bytes: &[u8]) -> Option<v1::Ambient> {
     match part(bytes).ok()?.0.task? {
         v1::job_spec::Task::Ambient(ambient) => Some(ambient),
@@ -54,8 +59,8 @@ pub(crate) fn receivers(bytes: &[u8]) -> Option<v1::Ambient> {
     }
 }
 
-/// Returns the blobs that a record's specification names: the whole of it, and its receivers. A specification
-/// of another version names nothing that can be read.
+/// Returns the blobs that a record's specification references: the whole specification, and the receivers.
+/// Returns no blobs for a specification that this version cannot read.
 pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
     let whole = part(bytes).ok().and_then(|(_, whole)| whole);
     let receivers = receivers(bytes).and_then(|ambient| ambient.receivers.try_into().ok());
@@ -65,7 +70,7 @@ pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
 /// Reads and plans a record's whole specification.
 ///
 /// # Errors
-/// The reason, when it cannot be decoded or read.
+/// The reason, if the specification cannot be read or decoded.
 pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
     whole_spec(blobs, bytes).map(PlannedJob::stored)
 }
@@ -75,25 +80,27 @@ fn whole_spec(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
     let Some(digest) = digest else {
         return checked(&part);
     };
-    let blob = blobs
-        .read(&digest)
-        .map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
+    let blob = blobs.read(&digest).map_err(|e| {
+        format!("the job's viewpoints or boxes cannot be read: {e}; submit the job again")
+    })?;
     let whole = v1::JobSpec::decode(&*blob);
-    checked(&whole.map_err(|e| format!("its specification cannot be read: {e}; submit it again"))?)
+    checked(&whole.map_err(|e| {
+        format!("the job's specification cannot be read: {e}; submit the job again")
+    })?)
 }
 
-/// Reads and plans a record's specification, without its viewpoints where the whole is a blob.
+/// Reads and plans a record's specification, without its viewpoints if the whole is a blob.
 ///
 /// # Errors
-/// The reason, when it cannot be decoded or read.
+/// The reason, if the specification cannot be read or decoded.
 pub(crate) fn without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
     spec_without_viewpoints(blobs, bytes).map(PlannedJob::stored)
 }
 
-/// Reads a record's specification, without its viewpoints where the whole is a blob.
+/// Reads a record's specification, without its viewpoints if the whole is a blob.
 ///
 /// # Errors
-/// The reason, when it cannot be decoded or read.
+/// The reason, if the specification cannot be read or decoded.
 pub(crate) fn spec_without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
     let (part, digest) = part(bytes)?;
     match digest.is_some() && has_boxes(&part) {
@@ -103,9 +110,9 @@ pub(crate) fn spec_without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result
 }
 
 fn checked(message: &v1::JobSpec) -> Result<JobSpec, String> {
-    // A stored message has every field, so that no fact about the scene is needed.
+    // A stored message has every field, so decoding it needs no facts about the scene.
     let spec = JobSpec::from_message(message, &SceneFacts::default());
-    spec.map_err(|e| format!("{e}; submit it again"))
+    spec.map_err(|e| format!("{e}; submit the job again"))
 }
 
 #[cfg(test)]
@@ -126,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_specification_comes_back_from_its_blob() {
+    fn large_specification_round_trips_through_blob() {
         let blobs = MemoryBlobs::default();
         let view_box = Aabb {
             min: Vec3::ZERO,
@@ -159,16 +166,16 @@ mod tests {
     }
 
     #[test]
-    fn a_large_tree_comes_back_from_its_blob() {
+    fn large_tree_round_trips_through_blob() {
         let blobs = MemoryBlobs::default();
         let view_box = Aabb {
             min: Vec3::ZERO,
             max: Vec3::splat(1000.0),
         };
-        // Slabs of width 1.
+        // The slabs have a width of 1.
         let axes: Vec<u32> = (1..1000).flat_map(|_| [2, 3]).chain([3]).collect();
         assert!(KdTree::new(&axes, &[]).is_err());
-        // At most 64 planes are above a box, so the slabs are halved.
+        // At most 64 planes may lie above a box in the tree, so the slabs are halved.
         fn halve(lo: u32, hi: u32, out: &mut (Vec<u32>, Vec<f32>)) {
             let middle = lo.midpoint(hi);
             if middle == lo {

@@ -1,49 +1,50 @@
-//! Submission: a checked specification becomes a job, or finds the job that has the same result.
+//! The submission of jobs: records a checked specification as a new job, or returns the existing job with the
+//! same key.
 
 use std::sync::Arc;
 
 use sightline_model::{PlannedJob, SceneFacts, SpecError};
 use sightline_records::ids::{Digest, JobId};
 use sightline_records::{JobPhase, JobState, NewJob, Submitted, owned_key, owned_request};
-use sightline_scheduler::{Event, Job};
+use sightline_scheduler::{Event, OpenJob};
 use sightline_store::{BlobError, StoreError};
-use sightline_traces::Begun;
+use sightline_traces::SpanTime;
 
+use crate::coordinator::Coordinator;
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
-use crate::records::{JobChanges, OutputRemoval};
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::records::{OutputRemoval, Records};
+use crate::telemetry::events::{EventKind, LogEvent};
 use crate::telemetry::spans::Cause;
 use crate::uploads::receivers;
 use crate::uploads::scenes::{self, FactsError};
-use crate::users::quota_check::{HavingError, reserve_quota, turn_of};
+use crate::users::quota_check::{QuotaReservation, ReservationError};
 
-/// A specification to be submitted.
+/// A checked specification with its submitter.
 pub(crate) struct Submission {
-    /// Chosen by the client; submitting again with the same one gives the same job.
+    /// The id that the client chose. Another submission with the same id returns the same job.
     pub(crate) request_id: String,
-    /// For people.
+    /// The display name of the job.
     pub(crate) name: String,
-    /// Whose it will be.
+    /// The owner of the new job.
     pub(crate) owner: String,
-    /// Who submits it.
+    /// The user who submits the job.
     pub(crate) user: String,
-    /// Jobs of higher priority come first.
+    /// The priority of the job. Workers compute jobs of higher priority first.
     pub(crate) priority: i32,
-    /// The job.
+    /// The planned job.
     pub(crate) job: Arc<PlannedJob>,
-    /// What led to it, for its trace.
+    /// The call that caused the submission, for the job's trace.
     pub(crate) cause: Cause,
 }
 
-/// A submission that is refused.
+/// The reason why a submission is rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SubmitError {
     /// The job does not fit its scene.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// A receiver is on a triangle that the scene does not have.
+    /// A receiver is on a triangle that does not exist in the scene.
     #[error(
         "a receiver lies on triangle {0}, which the scene does not have; submit with the scene that the \
          receivers are for"
@@ -52,15 +53,15 @@ pub(crate) enum SubmitError {
     /// The job was stored but cannot be scheduled.
     #[error("{0}")]
     Schedule(String),
-    /// The user may not have more.
+    /// The submission exceeds the user's quota.
     #[error(transparent)]
-    Having(#[from] HavingError),
+    Quota(#[from] ReservationError),
     /// The kinds of the scene's triangles cannot be read.
     #[error(transparent)]
     Facts(#[from] FactsError),
-    /// The receivers cannot be had.
+    /// The receivers cannot be read.
     #[error(transparent)]
-    Receivers(#[from] receivers::Fault),
+    Receivers(#[from] receivers::StoredReceiversError),
     /// A lost result cannot be removed, or the viewpoints cannot be stored.
     #[error(transparent)]
     Blob(#[from] BlobError),
@@ -69,13 +70,13 @@ pub(crate) enum SubmitError {
     Store(#[from] StoreError),
 }
 
-/// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
-/// is lost is begun again.
+/// Submits a job on a recorded scene. Returns the job's id, and whether the job existed before. A done job
+/// whose result is lost starts again.
 pub(crate) fn submit(
     c: &Arc<Coordinator>,
     submission: &Submission,
 ) -> Result<Submitted, SubmitError> {
-    let begun = Begun::now();
+    let begun = SpanTime::now();
     let Submission {
         request_id,
         name,
@@ -100,19 +101,21 @@ pub(crate) fn submit(
         spec.fits(&scene)?;
     }
     if let Some(ambient) = spec.ambient()
-        && let Some(triangle) = receivers::stored(c, ambient.receivers)?
+        && let Some(triangle) = c
+            .uploads
+            .receivers(&*c.blobs, ambient.receivers)?
             .facts
             .greatest_triangle
         && triangle >= scenes::facts(c, &spec.scene)?.triangles
     {
         return Err(SubmitError::Receiver(triangle));
     }
-    let _having = turn_of(c, owner);
+    let quota = QuotaReservation::begin(c, owner);
     let bytes = spec.ambient().map_or(0, |ambient| ambient.bytes);
-    // What was sent for this job counts until now as a chunk.
+    // Until now, an upload for this job counts as a chunk of the user.
     let sent = spec
         .ambient()
-        .filter(|ambient| c.uploads.has(owner, &ambient.receivers))
+        .filter(|ambient| c.uploads.chunks.has(owner, &ambient.receivers))
         .map_or(0, |_| bytes);
     let more = Usage {
         bytes,
@@ -120,18 +123,18 @@ pub(crate) fn submit(
         tiles: plan.tiles.len() as u64,
         ..Usage::default()
     };
-    // A job that is there already is no more.
+    // An existing job does not add to the usage.
     let known = c
-        .store
+        .records
         .job_by_key(&owned_key(planned.key(), owner))?
         .map(|job| job.state.phase());
     if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
-        reserve_quota(c, owner, more, sent)?;
+        quota.reserve(more, sent)?;
     }
-    // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
-    let mut changes = JobChanges::begin(c);
+    // Until the scheduler has the job, no other thread changes it, and no blob that it references is deleted.
+    let mut changes = quota.job_changes();
     if let Some(ambient) = spec.ambient() {
-        receivers::hold(c, ambient.receivers)?;
+        receivers::hold(&changes, ambient.receivers)?;
     }
     let job = NewJob {
         key: owned_key(planned.key(), owner),
@@ -146,7 +149,7 @@ pub(crate) fn submit(
         submitted_at_ms: c.now().unix_ms,
     };
     let mut submitted = changes.submit(job.clone()).map_err(|e| match e {
-        // By the id that the client gave.
+        // Report the id that the client gave, not the owned one.
         StoreError::RequestIdReused { job, .. } => StoreError::RequestIdReused {
             request_id: request_id.clone(),
             job,
@@ -154,24 +157,24 @@ pub(crate) fn submit(
         e => e,
     })?;
     if submitted.existing
-        && let Some(result) = result_of(c, submitted.id)?
+        && let Some(result) = result_of(&c.records, submitted.id)?
     {
-        // Reading a large result takes time; nobody else waits for it.
+        // Reading a large result takes time, so other threads must not wait for it.
         let lost = changes.unlocked(|| c.blobs.open_checked(&result).err());
         if let Some(e) = lost.as_ref().filter(|e| e.passes()) {
             return Err(e.clone().into());
         }
         if let Some(e) = lost
-            && result_of(c, submitted.id)? == Some(result)
+            && result_of(&c.records, submitted.id)? == Some(result)
         {
-            // The outputs of its tiles were removed, so the job begins from nothing.
+            // The outputs of the job's tiles were removed, so the job starts from nothing.
             tracing::warn!(
-                "the result of job {} is lost ({e}); it is baked again",
+                "the result of job {} is lost ({e}); the job is baked again",
                 submitted.id
             );
             {
                 let _removal = OutputRemoval::begin(c);
-                c.store.may_change()?;
+                c.records.may_change()?;
                 c.blobs.remove(&result)?;
             }
             changes.delete(submitted.id)?;
@@ -179,14 +182,18 @@ pub(crate) fn submit(
         }
     }
     if let Some(ambient) = spec.ambient() {
-        // From now on it is the job that names them.
-        c.uploads.forget(owner, &[ambient.receivers]);
+        // From now on the job references the receivers, so they no longer count as chunks.
+        c.uploads.chunks.forget(owner, &[ambient.receivers]);
     }
     if !submitted.existing {
         let id = submitted.id;
-        let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
-        let tiles = c.store.tiles(id)?;
-        let job = Job::new(record, Arc::clone(planned), tiles).map_err(SubmitError::Schedule)?;
+        let record = c
+            .records
+            .job(id)?
+            .ok_or(StoreError::UnknownJob { job: id })?;
+        let tiles = c.records.tiles(id)?;
+        let job =
+            OpenJob::new(record, Arc::clone(planned), tiles).map_err(SubmitError::Schedule)?;
         tracing::info!(
             "job {id} ({name:?}) is submitted; tiles: {}",
             plan.tiles.len()
@@ -197,16 +204,18 @@ pub(crate) fn submit(
             format!(" by {user}")
         };
         let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
-        c.happened(LogEvent::of_job(Kind::Submitted, id, text));
+        c.record_event(LogEvent::of_job(EventKind::Submitted, id, text));
         changes.tell(Event::TakenUp(Box::new(job)));
-        c.spans.planned(id, begun, plan.tiles.len(), *cause);
+        c.telemetry
+            .spans
+            .planned(id, begun, plan.tiles.len(), *cause);
     }
     changes.finish().run(c);
     Ok(submitted)
 }
 
-fn result_of(c: &Coordinator, id: JobId) -> Result<Option<Digest>, StoreError> {
-    Ok(match c.store.job(id)?.map(|job| job.state) {
+fn result_of(records: &Records, id: JobId) -> Result<Option<Digest>, StoreError> {
+    Ok(match records.job(id)?.map(|job| job.state) {
         Some(JobState::Done { result, .. }) => Some(result),
         _ => None,
     })

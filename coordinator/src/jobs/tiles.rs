@@ -1,4 +1,4 @@
-//! The tiles of a job, as people see them: where they are, how they stand, and what they cost.
+//! The tiles of a job for display: bounds, states and costs.
 
 use sightline_records::ids::{JobId, TileIndex};
 use sightline_records::{TileFailure, TileState};
@@ -6,18 +6,18 @@ use sightline_scheduler::TileStatus;
 use sightline_store::StoreError;
 use sightline_viewcells::TileKind;
 
+use crate::coordinator::Coordinator;
 use crate::jobs::stored_spec;
-use crate::state::Coordinator;
 
 /// A tile of a job.
 #[derive(Clone, Debug)]
 pub(crate) struct TileView {
     pub(crate) tile: TileIndex,
-    pub(crate) standing: TileStatus,
-    /// Its part of the view box, in world space; `None` if another version of the program planned the job, or
-    /// if it has receivers and no cells.
+    pub(crate) status: TileStatus,
+    /// The tile's part of the view box, in world space. `None` if another version of the program planned the
+    /// job, or if the job has receivers and no cells.
     pub(crate) bounds: Option<[glam::Vec3; 2]>,
-    /// View cells by the plan.
+    /// The number of view cells of the tile, by the plan.
     pub(crate) cells: u64,
     pub(crate) cells_done: u64,
     pub(crate) samples: u64,
@@ -25,22 +25,22 @@ pub(crate) struct TileView {
     pub(crate) workers: Vec<String>,
     pub(crate) failures: Vec<TileFailure>,
     pub(crate) conflicts: u32,
-    /// Whether it yields samples for other tiles.
+    /// True if other tiles use the samples of this tile.
     pub(crate) is_pack: bool,
 }
 
-/// Some tiles of a job.
+/// A page of the tiles of a job.
 pub(crate) struct Page {
     pub(crate) tiles: Vec<TileView>,
-    /// The first tile that was not looked at, if there is one.
+    /// The tile at which the next page starts. `None` if this page is the last.
     pub(crate) next: Option<TileIndex>,
-    /// Tiles of the job.
+    /// The total number of tiles of the job.
     pub(crate) total: u32,
 }
 
-/// How all tiles of a job stand. Blocks on the disk for one that has ended.
-pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, StoreError> {
-    if let Some(live) = c.lock().scheduler.standings(id) {
+/// Returns the states of all tiles of a job. Blocks on the disk if the job has ended.
+pub(crate) fn statuses(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, StoreError> {
+    if let Some(live) = c.dispatcher.read(|scheduler| scheduler.tile_statuses(id)) {
         return Ok(live);
     }
     let status_of = |state: &TileState| match state {
@@ -48,24 +48,30 @@ pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, S
         TileState::Done { .. } => TileStatus::Done,
         TileState::SetAside { .. } => TileStatus::SetAside,
     };
-    Ok(c.store
+    Ok(c.records
         .tiles(id)?
         .iter()
         .map(|tile| status_of(&tile.state))
         .collect())
 }
 
-/// At most `most` tiles of a job from `first` on, of those in one of these states, or of all.
+/// Returns at most `most` tiles of a job, starting at the tile `first`. If `states` is not empty, returns
+/// only tiles in one of these states.
 pub(crate) fn list(
     c: &Coordinator,
     id: JobId,
     first: TileIndex,
     most: usize,
-    wanted: &[TileStatus],
+    states: &[TileStatus],
 ) -> Result<Page, StoreError> {
-    let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
-    let records = c.store.tiles(id)?;
-    let live = c.lock().scheduler.live_tiles(id, 0..records.len());
+    let record = c
+        .records
+        .job(id)?
+        .ok_or(StoreError::UnknownJob { job: id })?;
+    let records = c.records.tiles(id)?;
+    let live = c
+        .dispatcher
+        .read(|scheduler| scheduler.live_tiles(id, 0..records.len()));
     let planned = stored_spec::without_viewpoints(&*c.blobs, &record.spec).ok();
     let planned = planned.filter(|job| job.plan().tiles.len() == records.len());
     let total = records.len() as u32;
@@ -76,18 +82,18 @@ pub(crate) fn list(
             break;
         }
         let live = live.as_ref().and_then(|live| live.get(at));
-        let standing = match (&record.state, live) {
+        let status = match (&record.state, live) {
             (TileState::Done { .. }, _) => TileStatus::Done,
             (TileState::SetAside { .. }, _) => TileStatus::SetAside,
-            (TileState::Open, Some(live)) => live.standing,
+            (TileState::Open, Some(live)) => live.status,
             (TileState::Open, None) => TileStatus::Waiting,
         };
-        if !wanted.is_empty() && !wanted.contains(&standing) {
+        if !states.is_empty() && !states.contains(&status) {
             continue;
         }
         let mut view = TileView {
             tile: record.tile,
-            standing,
+            status,
             bounds: None,
             cells: 0,
             cells_done: 0,

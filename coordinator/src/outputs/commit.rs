@@ -1,4 +1,4 @@
-//! Results of tiles: an output is checked, kept as a file and committed.
+//! Commits of tile outputs: an output is checked, stored as a blob and recorded.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -9,92 +9,97 @@ use sightline_assemble::openness::{self, AnswerError};
 use sightline_model::{PlannedJob, Task, codec};
 use sightline_records::ids::{Digest, JobId, Lease, hex};
 use sightline_records::{CommitOutcome, MAX_HELPERS, TileResult, TileStats};
-use sightline_scheduler::{Admitted, Event, NoTile};
+use sightline_scheduler::{Event, NoTile, Right};
 use sightline_store::{Address, BlobError, Staged, StoreError};
-use sightline_traces::Begun;
+use sightline_traces::SpanTime;
 use sightline_viewcells::Tile;
 
-use crate::dispatch::{FollowUps, tell};
+use crate::coordinator::Coordinator;
+use crate::dispatch::FollowUps;
 use crate::outputs::presigned;
 use crate::quota::Sender;
-use crate::records::OutputCommit;
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::records::{OutputCommit, Records};
+use crate::telemetry::events::{EventKind, LogEvent};
 use crate::telemetry::spans;
-use crate::uploads::receivers::{self, Fault};
+use crate::uploads::receivers::StoredReceiversError;
 use crate::uploads::spool::{Spool, SpoolError};
 
-/// Maximum size of an output that is checked while others are, packed and unpacked, in bytes. Larger ones are
-/// checked one at a time.
+/// Maximum size of an output that is checked concurrently with others, in bytes, before and after
+/// decompression. Larger outputs are checked one at a time.
 pub(crate) const MAX_LIGHT: u64 = 8 << 20;
 
 /// A tile's output as a worker announces it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct UploadHeader {
-    /// The lease under which it was computed.
+    /// The lease under which the worker computed the output.
     pub(crate) lease: Lease,
-    /// Its digest.
+    /// The digest of the output.
     pub(crate) digest: Digest,
-    /// Its length.
+    /// The length of the output, in bytes.
     pub(crate) bytes: u64,
-    /// Samples that it took.
+    /// The number of samples that the worker took.
     pub(crate) samples: u64,
-    /// Milliseconds that it took.
+    /// The computation time in milliseconds.
     pub(crate) millis: u64,
 }
 
-/// Where a tile's output is.
-pub(crate) enum Origin<'a> {
-    /// Here: it has come as chunks.
+/// The location of a tile's output.
+pub(crate) enum OutputBytes<'a> {
+    /// Bytes in memory, which arrived as chunks.
     Sent(&'a [u8]),
-    /// In the store of the blobs, where its worker has written it.
+    /// An object in the blob store, which the worker wrote directly.
     Staged(&'a Staged),
 }
 
-/// A tile's output that is not committed.
+/// The reason why a tile's output is not committed.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ResultError {
     /// The bytes do not have the announced digest.
-    #[error("the result that arrived is not the one announced; send it again")]
+    #[error(
+        "the digest of the received output differs from the announced digest; send the output again"
+    )]
     Digest,
     /// The bytes do not have the announced length.
-    #[error("the result has another length than announced")]
+    #[error("the length of the output differs from the announced length; send the output again")]
     Length,
-    /// The announced length is more than the tile's output can have.
-    #[error("{announced} bytes were announced; an output of this tile has at most {most}")]
+    /// The announced length exceeds the maximum length of the tile's output.
+    #[error("the announced output has {announced} bytes, but the maximum for this tile is {most}")]
     TooLong {
-        /// The announced length.
+        /// The announced length in bytes.
         announced: u64,
-        /// The bound.
+        /// The maximum length in bytes.
         most: u64,
     },
-    /// The chunks differ from the announced ones, or there is no room for them.
+    /// The chunks differ from the announcement, or the disk has no space for them.
     #[error(transparent)]
     Spool(SpoolError),
-    /// The worker has not written the output, or another one.
-    #[error("the output is not where it was to be written ({0}); send it")]
+    /// The output in the blob store is missing, or is not the announced one.
+    #[error(
+        "the output is not at its address in the object store ({0}); send the output to the \
+         coordinator"
+    )]
     Unstaged(String),
     /// The job has ended or does not exist.
-    #[error("job {0} has ended or is not known here")]
+    #[error("job {0} has ended or does not exist")]
     NoJob(JobId),
-    /// The job has fewer tiles.
-    #[error("the job has no such tile")]
+    /// The job does not have the tile.
+    #[error("the job does not have this tile")]
     NoTile,
-    /// The lease does not count.
+    /// The lease is not valid.
     #[error(
-        "the lease {} of tile {} of job {} in epoch {} does not count: it was not given, or it has ended, or \
-         its worker is quarantined",
+        "the lease {} of tile {} of job {} in epoch {} is invalid: it was never granted, or it has \
+         ended, or its worker is quarantined",
         .0.id.number, .0.tile, .0.job, .0.id.epoch.0
     )]
     NoLease(Lease),
-    /// The output is not that of its tile.
+    /// The output does not match its tile.
     #[error(transparent)]
     Output(OutputError),
-    /// The output is not the answers of its tile's receivers.
+    /// The answers do not match the receivers of the tile.
     #[error("{0}")]
     Answers(String),
-    /// The tile has another result.
-    #[error("another result for this tile is already there; this worker's machine needs a look")]
+    /// The tile already has a different output.
+    #[error("a different result for this tile is already stored; check the machine of this worker")]
     Conflict,
     /// The blob cannot be written.
     #[error(transparent)]
@@ -123,120 +128,136 @@ impl From<SpoolError> for ResultError {
     }
 }
 
-/// The outputs that a check may unpack.
+/// The sizes of outputs that a check may unpack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Weight {
-    /// Outputs of at most [`MAX_LIGHT`] bytes; others are [`OutputError::Large`].
+pub(crate) enum SizeLimit {
+    /// Outputs of at most [`MAX_LIGHT`] bytes. A larger output causes [`OutputError::Large`].
     Light,
-    /// All of them. The caller holds the right to a large one.
+    /// Outputs of any size. The caller holds the right to check a large output.
     Any,
 }
 
-/// Begins an output that arrives as chunks. Its lease and its length are checked before its first byte is
-/// kept.
+/// Starts an output that arrives as chunks. Checks the lease and the announced length before the first byte
+/// is stored.
 ///
 /// # Errors
-/// [`ResultError`] when the lease was not given, the tile can have no output of this length, or unfinished
-/// uploads have too many bytes.
+/// [`ResultError`] if the lease is not valid, the tile cannot have an output of this length, or the
+/// unfinished uploads have too many bytes.
 pub(crate) fn begin(c: &Coordinator, announced: &UploadHeader) -> Result<Spool, ResultError> {
-    let Admitted { work, counts, .. } = c.lock().scheduler.admit(&announced.lease)?;
-    if !counts {
+    let admission = c
+        .dispatcher
+        .read(|scheduler| scheduler.admit(&announced.lease))?;
+    if !admission.counts() {
         return Err(ResultError::NoLease(announced.lease));
     }
-    let most = most_packed(c, &work, announced.lease)?;
+    let most = most_packed(&c.records, &admission.job, announced.lease)?;
     if announced.bytes > most {
         return Err(ResultError::TooLong {
             announced: announced.bytes,
             most,
         });
     }
-    Ok(Spool::begin(c, Sender::Worker, announced.bytes)?)
+    Ok(Spool::begin(
+        &c.uploads,
+        &c.telemetry.metrics,
+        Sender::Worker,
+        announced.bytes,
+    )?)
 }
 
-/// Returns where the holder of a lease writes its output; `None` where that goes through the coordinator. It
-/// names the fault of an output that it rejects.
+/// Returns the address to which the holder of a lease writes its output, or `None` if the output goes through
+/// the coordinator. For a rejected output, the result is `None` as well; the later upload names the fault.
 ///
 /// # Errors
-/// When the store has no keys to sign with.
+/// [`BlobError`] if the blob store has no keys for signatures.
 pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address>, BlobError> {
-    let admitted = c.lock().scheduler.admit(&staged.lease);
+    let admitted = c
+        .dispatcher
+        .read(|scheduler| scheduler.admit(&staged.lease));
     let most = admitted
         .ok()
-        .and_then(|admitted| most_packed(c, &admitted.work, staged.lease).ok());
+        .and_then(|admitted| most_packed(&c.records, &admitted.job, staged.lease).ok());
     most.map_or(Ok(None), |most| presigned::writing(c, staged, most))
 }
 
-/// Returns the maximum length of a tile's output before it is unpacked.
-fn most_packed(c: &Coordinator, work: &PlannedJob, lease: Lease) -> Result<u64, ResultError> {
-    match &work.spec().task {
+/// Returns the maximum compressed length of a tile's output, in bytes.
+fn most_packed(records: &Records, planned: &PlannedJob, lease: Lease) -> Result<u64, ResultError> {
+    match &planned.spec().task {
         Task::Ambient(_) => Ok(codec::MAX_UNPACKED),
         Task::Visibility(task) => {
-            let tile = tile_of(work, lease)?;
-            Ok(check::most_packed(task, tile, scene_size(c, work)?))
+            let tile = tile_of(planned, lease)?;
+            let size = scene_size(records, planned)?;
+            Ok(check::most_packed(task, tile, size))
         }
     }
 }
 
 /// Returns the tile of a lease.
-fn tile_of(work: &PlannedJob, lease: Lease) -> Result<&Tile, ResultError> {
-    let tile = work.plan().tiles.get(lease.tile.at());
+fn tile_of(planned: &PlannedJob, lease: Lease) -> Result<&Tile, ResultError> {
+    let tile = planned.plan().tiles.get(lease.tile.at());
     tile.ok_or(ResultError::NoTile)
 }
 
 /// Returns the numbers of triangles and of objects in a job's scene.
-fn scene_size(c: &Coordinator, work: &PlannedJob) -> Result<SceneSize, ResultError> {
-    let record = c.store.scene(&work.spec().scene)?;
+fn scene_size(records: &Records, planned: &PlannedJob) -> Result<SceneSize, ResultError> {
+    let record = records.scene(&planned.spec().scene)?;
     Ok(record.map_or_else(SceneSize::default, |record| SceneSize {
         triangles: record.triangles,
         objects: record.objects,
     }))
 }
 
-/// Checks and commits a tile's output, then does what follows from it.
+/// Checks and commits a tile's output, and starts the follow-ups.
 pub(crate) fn put(
     c: &Arc<Coordinator>,
     announced: &UploadHeader,
-    origin: &Origin<'_>,
-    weight: Weight,
+    origin: &OutputBytes<'_>,
+    limit: SizeLimit,
 ) -> Result<(), ResultError> {
     let begun = Instant::now();
     let (result, follow_ups) = match origin {
-        Origin::Sent(bytes) => commit(c, announced, bytes, None, weight)?,
-        Origin::Staged(staged) => {
+        OutputBytes::Sent(bytes) => commit(c, announced, bytes, None, limit)?,
+        OutputBytes::Staged(staged) => {
             let committed = fetch(c, staged)
-                .and_then(|bytes| commit(c, announced, &bytes, Some(staged), weight));
+                .and_then(|bytes| commit(c, announced, &bytes, Some(staged), limit));
             let waits = |e: &ResultError| match e {
                 ResultError::Blob(e) => e.passes(),
                 ResultError::Store(_) | ResultError::Output(OutputError::Large) => true,
                 _ => false,
             };
-            // The worker names it again after what passes.
+            // After a temporary failure, the worker announces the same output again.
             if !committed.as_ref().is_err_and(waits) {
-                presigned::discard(c, staged);
+                presigned::discard(&*c.blobs, staged);
             }
             committed?
         }
     };
-    c.metrics.commit_took(begun.elapsed());
+    c.telemetry.metrics.commit_took(begun.elapsed());
     follow_ups.run(c);
     result
 }
 
-/// Reads an output that its worker has written into the store of the blobs.
+/// Reads an output that its worker wrote directly to the blob store.
 fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
-    // The coordinator reads no output that does not count, or is longer than its tile's can be.
-    let Admitted { work, counts, .. } = c.lock().scheduler.admit(&staged.lease)?;
-    if !counts {
+    // The coordinator must not read an output with an invalid lease, or one that is too long for its tile.
+    let admission = c
+        .dispatcher
+        .read(|scheduler| scheduler.admit(&staged.lease))?;
+    if !admission.counts() {
         return Err(ResultError::NoLease(staged.lease));
     }
-    let most = most_packed(c, &work, staged.lease)?;
+    let most = most_packed(&c.records, &admission.job, staged.lease)?;
     if staged.bytes > most {
         return Err(ResultError::TooLong {
             announced: staged.bytes,
             most,
         });
     }
-    let none = || ResultError::Unstaged("this coordinator has given no address".to_owned());
+    let none = || {
+        ResultError::Unstaged(
+            "this coordinator did not offer an address in an object store".to_owned(),
+        )
+    };
     let direct = c.blobs.direct().ok_or_else(none)?;
     direct.read_staged(staged).map_err(|e| match e {
         e if e.passes() => ResultError::Blob(e),
@@ -244,14 +265,13 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
     })
 }
 
-/// The number of cells or receivers of a tile's output, which must be what the job's plan expects of the
-/// tile.
+/// Checks an output against the job's plan, and returns the number of its cells or receivers.
 fn check(
     c: &Coordinator,
-    work: &PlannedJob,
+    planned: &PlannedJob,
     announced: &UploadHeader,
     bytes: &[u8],
-    weight: Weight,
+    limit: SizeLimit,
 ) -> Result<u64, ResultError> {
     if *blake3::hash(bytes).as_bytes() != announced.digest {
         return Err(ResultError::Digest);
@@ -259,13 +279,16 @@ fn check(
     if announced.bytes != bytes.len() as u64 {
         return Err(ResultError::Length);
     }
-    let (tile, number) = (tile_of(work, announced.lease)?, announced.lease.tile.0);
-    match &work.spec().task {
+    let (tile, number) = (tile_of(planned, announced.lease)?, announced.lease.tile);
+    match &planned.spec().task {
         Task::Ambient(ambient) => {
-            let stored = receivers::stored(c, ambient.receivers).map_err(|e| match e {
-                Fault::Blob(e) if e.passes() => ResultError::Blob(e),
-                e => ResultError::Answers(format!("the job's receivers: {e}")),
-            })?;
+            let stored =
+                c.uploads
+                    .receivers(&*c.blobs, ambient.receivers)
+                    .map_err(|e| match e {
+                        StoredReceiversError::Blob(e) if e.passes() => ResultError::Blob(e),
+                        e => ResultError::Answers(format!("the job's receivers: {e}")),
+                    })?;
             let checked = openness::check(ambient, &stored.facts, number, bytes);
             checked.map_err(|e: AnswerError<BlobError>| match e {
                 AnswerError::NoTile => ResultError::NoTile,
@@ -273,28 +296,35 @@ fn check(
             })
         }
         Task::Visibility(task) => {
-            let most = match weight {
-                Weight::Light => MAX_LIGHT,
-                Weight::Any => u64::MAX,
+            let most = match limit {
+                SizeLimit::Light => MAX_LIGHT,
+                SizeLimit::Any => u64::MAX,
             };
-            check::check(task, (number, tile), scene_size(c, work)?, bytes, most)
-                .map_err(ResultError::Output)
+            check::check(
+                task,
+                number,
+                tile,
+                scene_size(&c.records, planned)?,
+                bytes,
+                most,
+            )
+            .map_err(ResultError::Output)
         }
     }
 }
 
-/// Checks a tile's output and commits it, unless the tile is done; gives whether the tile has it now,
-/// and what follows.
+/// Checks a tile's output, and commits it unless the tile is done. Returns success if the tile has this
+/// output now, and the follow-ups.
 ///
-/// Everything that takes time is done without a lock: the hash, the decoding, the file and the record.
+/// Slow steps run without a lock: the hash, the decoding, the file and the record.
 fn commit(
     c: &Coordinator,
     announced: &UploadHeader,
     bytes: &[u8],
     staged: Option<&Staged>,
-    weight: Weight,
+    limit: SizeLimit,
 ) -> Result<(Result<(), ResultError>, FollowUps), ResultError> {
-    let begun = Begun::now();
+    let begun = SpanTime::now();
     let &UploadHeader {
         lease,
         digest,
@@ -303,46 +333,37 @@ fn commit(
         ..
     } = announced;
     let Lease { job: id, tile, .. } = lease;
-    let Admitted {
-        work,
-        worker,
-        profile,
-        checks,
-        counts,
-        ..
-    } = c.lock().scheduler.admit(&lease)?;
-    let cells = check(c, &work, announced, bytes, weight)?;
-    if !counts {
-        return Err(ResultError::NoLease(lease));
-    }
-    if checks {
-        // It is compared with what is kept, and not kept itself.
-        let stats = TileStats {
-            samples,
-            cells,
-            millis,
-            worker,
-            ..TileStats::default()
-        };
-        c.spans
-            .committed(&lease, begun, spans::CHECKED, &stats, announced.bytes);
-        return Ok((Ok(()), tell(c, Event::Checked { lease, digest })));
+    let admission = c.dispatcher.read(|scheduler| scheduler.admit(&lease))?;
+    let cells = check(c, &admission.job, announced, bytes, limit)?;
+    match admission.right {
+        Right::Stale => return Err(ResultError::NoLease(lease)),
+        Right::Compare { worker } => {
+            let stats = TileStats {
+                samples,
+                cells,
+                millis,
+                worker,
+                ..TileStats::default()
+            };
+            c.telemetry
+                .spans
+                .committed(&lease, begun, spans::CHECKED, &stats, announced.bytes);
+            return Ok((Ok(()), c.tell(Event::Checked { lease, digest })));
+        }
+        Right::Keep { .. } => {}
     }
     let full = |e: &BlobError| {
         if e.passes() {
-            // Leasing goes on with a later tick, so nothing follows from this now.
-            drop(tell(c, Event::DiskFull(lease)));
+            // A later tick resumes leasing, so this event has no follow-ups.
+            drop(c.tell(Event::DiskFull(lease)));
         }
     };
-    // While this is held, no output is removed: a record may only name a blob that is present. No tile is
-    // reopened either; until now it may have been, with the tiles from which this one was computed.
-    let (committing, admitted) = OutputCommit::begin(c, lease)?;
-    let Admitted {
-        helpers, counts, ..
-    } = admitted;
-    if !counts {
+    // While this lock is held, no output is removed, so the record references an existing blob. No tile is
+    // reopened, either. Before this point, the tile and its prerequisites may have been reopened.
+    let (committing, admission) = OutputCommit::begin(c, lease)?;
+    let Right::Keep { worker, helpers } = admission.right else {
         return Err(ResultError::NoLease(lease));
-    }
+    };
     match (staged, c.blobs.direct()) {
         (Some(staged), Some(direct)) => direct.adopt(staged, &digest, bytes).inspect_err(full)?,
         _ => drop(c.blobs.put(bytes).inspect_err(full)?),
@@ -366,12 +387,12 @@ fn commit(
     };
     let outcome = committing.record(result).inspect_err(|e| {
         if matches!(e, StoreError::Journal(_)) {
-            drop(tell(c, Event::DiskFull(lease)));
+            drop(c.tell(Event::DiskFull(lease)));
         }
     })?;
     match outcome {
         CommitOutcome::Committed | CommitOutcome::AlreadySame => {
-            c.crews.outcomes.remove((id, tile));
+            c.workers.crews.outcomes.remove((id, tile));
             if outcome == CommitOutcome::Committed {
                 let TileStats {
                     cells,
@@ -380,54 +401,55 @@ fn commit(
                     worker,
                     ..
                 } = &stats;
-                c.metrics.committed(&profile, *samples, *millis);
+                c.telemetry
+                    .metrics
+                    .committed(&admission.profile, *samples, *millis);
                 if staged.is_some() {
-                    c.metrics.went_directly("write", announced.bytes);
+                    c.telemetry.metrics.went_directly("write", announced.bytes);
                 }
                 let text =
                     format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
-                c.happened(LogEvent::of_lease(Kind::Done, &lease, text).on(worker));
+                c.record_event(LogEvent::of_lease(EventKind::Done, &lease, text).on(worker));
             }
-            c.spans
+            c.telemetry
+                .spans
                 .committed(&lease, begun, spans::DONE, &stats, announced.bytes);
             Ok((
                 Ok(()),
-                tell(
-                    c,
-                    Event::Committed {
-                        lease,
-                        digest,
-                        stats,
-                    },
-                ),
+                c.tell(Event::Committed {
+                    lease,
+                    digest,
+                    stats,
+                }),
             ))
         }
         CommitOutcome::Conflict { kept, offered } => {
             let error = format!(
-                "TWO RESULTS for tile {tile} of job {id}: {} stays, {} is refused. A worker's memory, \
-                 driver or program differs from its profile; find out which before trusting this job",
+                "TWO RESULTS for tile {tile} of job {id}: {} stays, {} is rejected. The memory, \
+                 driver or program of a worker differs from its profile; find the faulty worker \
+                 before you trust this job",
                 hex(&kept),
                 hex(&offered)
             );
             tracing::error!("{error}");
-            c.metrics.conflict();
-            c.happened(LogEvent::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
-            c.spans
-                .committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
-            // The lease has ended, whoever made the result that stays.
-            let mut follow_ups = tell(
-                c,
-                Event::Differed {
-                    lease,
-                    digest: offered,
-                },
+            c.telemetry.metrics.conflict();
+            c.record_event(
+                LogEvent::of_lease(EventKind::Conflict, &lease, error).on(&stats.worker),
             );
+            c.telemetry
+                .spans
+                .committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
+            // The lease has ended, regardless of which worker computed the output that stays.
+            let mut follow_ups = c.tell(Event::Differed {
+                lease,
+                digest: offered,
+            });
             let event = Event::Committed {
                 lease,
                 digest: kept,
                 stats: TileStats::default(),
             };
-            follow_ups.extend(tell(c, event));
+            follow_ups.extend(c.tell(event));
             Ok((Err(ResultError::Conflict), follow_ups))
         }
     }

@@ -1,5 +1,5 @@
-//! Outputs of tiles: their checks, their commits, and the direct way of workers to the blob store.
+//! Tile outputs: their checks, their commits, and the direct access of workers to the blob store.
 
 pub(crate) mod commit;
 pub(crate) mod presigned;
-pub(crate) mod staging;
+pub(crate) mod staged_outputs;

@@ -1,37 +1,39 @@
-//! What workers read and write in the store of the blobs by themselves: who gets which address.
+//! Presigned addresses, with which workers read and write the blob store directly.
 
 use std::time::Instant;
 
 use sightline_records::ids::Digest;
-use sightline_store::{Address, BlobError, Staged};
+use sightline_store::{Address, BlobError, Blobs, Staged};
 
-use crate::state::Coordinator;
+use crate::coordinator::Coordinator;
 
-/// Smaller blobs come with the answer to the call: a request to the store takes longer.
+/// Minimum size of a blob that workers read directly, in bytes. Smaller blobs are part of the answer, because
+/// a request to the blob store takes longer.
 const LEAST_READ: u64 = 64 << 10;
 
-/// Where a worker reads a blob of this length; `None` where that goes through the coordinator.
+/// Returns the address from which a worker reads a blob of this length, or `None` if the blob goes through
+/// the coordinator.
 pub(crate) fn reading(c: &Coordinator, digest: &Digest, bytes: u64) -> Option<Address> {
     let direct = c.blobs.direct().filter(|_| bytes >= LEAST_READ)?;
     match direct.reading(digest) {
         Ok(address) => {
-            c.metrics.addressed("read");
-            c.metrics.went_directly("read", bytes);
+            c.telemetry.metrics.addressed("read");
+            c.telemetry.metrics.went_directly("read", bytes);
             Some(address)
         }
         Err(e) => {
-            // A copy of the blob may be here all the same.
-            tracing::warn!("a worker has no address of a blob: {e}");
+            // The coordinator may have a local copy of the blob, so the call continues.
+            tracing::warn!("a worker receives no address of a blob: {e}");
             None
         }
     }
 }
 
-/// Returns the address to which the holder of a lease writes an output of at most `most` bytes; `None` if the
-/// output goes through the coordinator.
+/// Returns the address to which the holder of a lease writes an output of at most `most` bytes. Returns
+/// `None` if the output goes through the coordinator.
 ///
 /// # Errors
-/// When the store has no keys to sign with.
+/// [`BlobError`] if the blob store has no keys for signatures.
 pub(crate) fn writing(
     c: &Coordinator,
     staged: &Staged,
@@ -40,22 +42,30 @@ pub(crate) fn writing(
     let Some(direct) = c.blobs.direct() else {
         return Ok(None);
     };
-    if staged.bytes > most || !c.lock().scheduler.is_leased(&staged.lease) {
+    if staged.bytes > most
+        || !c
+            .dispatcher
+            .read(|scheduler| scheduler.is_leased(&staged.lease))
+    {
         return Ok(None);
     }
     let address = direct.writing(staged)?;
-    if !c.staging.claims(staged, Instant::now() + address.lives) {
+    if !c
+        .uploads
+        .presigned
+        .claims(staged, Instant::now() + address.lives)
+    {
         return Ok(None);
     }
-    c.metrics.addressed("write");
+    c.telemetry.metrics.addressed("write");
     Ok(Some(address))
 }
 
-/// Removes an output that is committed or refused. What cannot be removed is swept a day later.
-pub(crate) fn discard(c: &Coordinator, staged: &Staged) {
-    if let Some(direct) = c.blobs.direct()
+/// Removes an output that was committed or rejected. If this fails, the sweep removes the output a day later.
+pub(crate) fn discard(blobs: &dyn Blobs, staged: &Staged) {
+    if let Some(direct) = blobs.direct()
         && let Err(e) = direct.discard(staged)
     {
-        tracing::warn!("{e}; it is removed later");
+        tracing::warn!("{e}; retention removes the object later");
     }
 }

@@ -1,4 +1,4 @@
-//! Bounds of the bytes of unfinished uploads: of all together, of all users, and of each user.
+//! Limits of the bytes of unfinished uploads: for all uploads, for all users together, and for each user.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,9 +7,9 @@ use super::LimitExceeded;
 
 /// Maximum size of all unfinished uploads together, in bytes.
 const MAX_UNFINISHED: u64 = 64 << 30;
-/// The part that all users together may have, of this number. The rest is for outputs of tiles.
+/// The share of all users together is the total divided by this number. The rest is for outputs of tiles.
 const PART_OF_USERS: u64 = 2;
-/// The part that one user may have, of this number.
+/// The share of one user is the total divided by this number.
 const PART_OF_USER: u64 = 8;
 
 /// The sender of an upload.
@@ -17,26 +17,26 @@ const PART_OF_USER: u64 = 8;
 pub(crate) enum Sender<'a> {
     /// A worker.
     Worker,
-    /// A user, with an empty name where users are not distinguished.
+    /// A user. The name is empty if the coordinator does not distinguish users.
     User(&'a str),
 }
 
-/// Bytes of unfinished uploads.
+/// The bytes of unfinished uploads, with their limit.
 #[derive(Clone, Debug)]
 pub(crate) struct Budget {
     most: u64,
     held: Arc<Mutex<HeldBytes>>,
 }
 
-/// Reserved bytes.
+/// The reserved bytes in total, of all users, and of each user.
 #[derive(Debug, Default)]
 struct HeldBytes {
     all: u64,
     users: u64,
-    of: BTreeMap<String, u64>,
+    by_sender: BTreeMap<String, u64>,
 }
 
-/// The bytes that an upload has announced, until it ends.
+/// The reservation of the bytes that an upload announced, until the upload ends.
 #[derive(Debug)]
 pub(crate) struct Reserved {
     /// The user; `None` for a worker.
@@ -52,7 +52,7 @@ impl Default for Budget {
 }
 
 impl Budget {
-    /// Creates a budget of `most` bytes.
+    /// Creates a budget with a limit of `most` bytes.
     pub(crate) fn new(most: u64) -> Self {
         Self {
             most,
@@ -63,8 +63,8 @@ impl Budget {
     /// Reserves the bytes that an upload announces.
     ///
     /// # Errors
-    /// [`LimitExceeded::Unfinished`] when all uploads together, the uploads of all users, or the uploads of
-    /// the user would have too many.
+    /// [`LimitExceeded::Unfinished`] if all uploads together, the uploads of all users, or the uploads of the
+    /// user would exceed their limit.
     pub(crate) fn reserve(
         &self,
         sender: Sender<'_>,
@@ -82,8 +82,9 @@ impl Budget {
         let user = match sender {
             Sender::Worker => None,
             Sender::User(name) => {
-                let own = held.of.get(name).copied().unwrap_or(0);
-                // Where users are not distinguished, all are one.
+                let own = held.by_sender.get(name).copied().unwrap_or(0);
+                // If the coordinator does not distinguish users, all of them share the empty name, and only
+                // the limit of all users applies.
                 if !name.is_empty() {
                     below(self.most / PART_OF_USER, own, "a user")?;
                 }
@@ -97,7 +98,7 @@ impl Budget {
         held.all = below(self.most, held.all, "all users and workers")?;
         held.users = users;
         if let Some(name) = &user {
-            *held.of.entry(name.clone()).or_default() += bytes;
+            *held.by_sender.entry(name.clone()).or_default() += bytes;
         }
         Ok(Reserved {
             user,
@@ -106,15 +107,15 @@ impl Budget {
         })
     }
 
-    /// Returns the bytes of all unfinished uploads.
+    /// Returns the bytes of all unfinished uploads together.
     #[cfg(test)]
     pub(crate) fn all(&self) -> u64 {
         lock(&self.held).all
     }
 
     /// Returns the bytes of an owner's unfinished uploads.
-    pub(crate) fn of(&self, owner: &str) -> u64 {
-        lock(&self.held).of.get(owner).copied().unwrap_or(0)
+    pub(crate) fn bytes_of(&self, owner: &str) -> u64 {
+        lock(&self.held).by_sender.get(owner).copied().unwrap_or(0)
     }
 }
 
@@ -124,17 +125,17 @@ impl Drop for Reserved {
         held.all -= self.bytes;
         let Some(user) = &self.user else { return };
         held.users -= self.bytes;
-        if let Some(own) = held.of.get_mut(user) {
+        if let Some(own) = held.by_sender.get_mut(user) {
             *own -= self.bytes;
             if *own == 0 {
-                held.of.remove(user);
+                held.by_sender.remove(user);
             }
         }
     }
 }
 
 fn lock(held: &Mutex<HeldBytes>) -> MutexGuard<'_, HeldBytes> {
-    // Each change is whole before anything can panic.
+    // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
     held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -158,19 +159,23 @@ mod tests {
             .into();
         assert_eq!(refused(User("eve"), 41), ("all users", 400, 401));
         assert_eq!(refused(User(""), 41), ("all users", 400, 401));
-        // Users leave a part to workers.
+        // Users cannot reserve the part that is for workers.
         let workers = budget.reserve(Worker, 440).unwrap();
         assert_eq!(refused(Worker, 1), ("all users and workers", 800, 801));
         assert_eq!(
-            (budget.of("ada"), budget.of("b"), budget.of("eve")),
+            (
+                budget.bytes_of("ada"),
+                budget.bytes_of("b"),
+                budget.bytes_of("eve")
+            ),
             (60, 100, 0)
         );
         drop((ada, workers, others));
         {
             let held = lock(&budget.held);
-            assert!(held.all == 0 && held.users == 0 && held.of.is_empty());
+            assert!(held.all == 0 && held.users == 0 && held.by_sender.is_empty());
         }
-        // Without names all users are one.
+        // Without names, all users share one limit.
         assert!(budget.reserve(User(""), 400).is_ok());
     }
 }

@@ -1,18 +1,18 @@
-//! Memory of requests that were not handled yet, within a bound for all callers and one for each user.
+//! The memory of requests that were not handled yet, with a limit for all callers and one for each user.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{AcquireError, OwnedSemaphorePermit, Semaphore};
 
-/// Memory of all requests, in KiB.
+/// The memory of all requests, in KiB.
 const ALL: usize = 256 << 10;
-/// Memory of the requests of all users, in KiB. The rest is for workers.
+/// The memory of the requests of all users, in KiB. The rest is for workers.
 const OF_USERS: usize = 192 << 10;
-/// Memory of the requests of a user, in KiB.
+/// The memory of the requests of one user, in KiB.
 const OF_USER: usize = 64 << 10;
 
-/// The room for requests.
+/// The memory that is available for requests.
 #[derive(Debug)]
 pub(crate) struct Intake {
     all: Arc<Semaphore>,
@@ -20,17 +20,17 @@ pub(crate) struct Intake {
     of_users: Mutex<BTreeMap<String, Arc<Semaphore>>>,
 }
 
-/// The room that a request has, until it is dropped.
+/// The memory that a request has reserved, until it is dropped.
 #[derive(Debug, Default)]
-pub(crate) struct Room(Vec<OwnedSemaphorePermit>);
+pub(crate) struct RequestMemory(Vec<OwnedSemaphorePermit>);
 
-impl Room {
-    /// Gives back the room beyond a number of bytes.
+impl RequestMemory {
+    /// Releases the memory beyond the given number of bytes.
     pub(crate) fn shrink(&mut self, bytes: u64) {
         let kept = usize::try_from(bytes.div_ceil(1024)).unwrap_or(usize::MAX);
         for permits in &mut self.0 {
             let more = permits.num_permits().saturating_sub(kept);
-            // The split part is dropped here.
+            // Dropping the split part releases it.
             drop(permits.split(more));
         }
     }
@@ -47,16 +47,15 @@ impl Default for Intake {
 }
 
 impl Intake {
-    /// Waits for room for a number of bytes of a user. The name is empty where the bound of a user does not
-    /// apply.
+    /// Waits for `bytes` of memory for a user. The name is empty if the limit of a user does not apply.
     ///
     /// # Errors
-    /// When the coordinator is stopping.
-    pub(crate) async fn room(&self, user: &str, bytes: u64) -> Result<Room, AcquireError> {
+    /// [`AcquireError`] if the coordinator is stopping.
+    pub(crate) async fn room(&self, user: &str, bytes: u64) -> Result<RequestMemory, AcquireError> {
         if bytes == 0 {
-            return Ok(Room::default());
+            return Ok(RequestMemory::default());
         }
-        // One request can have all the room and no more, so that it comes to its end.
+        // A request that exceeds the limit reserves the whole limit, so that it does not wait forever.
         let most = if user.is_empty() { ALL } else { OF_USER };
         let permits = usize::try_from(bytes.div_ceil(1024))
             .unwrap_or(usize::MAX)
@@ -71,13 +70,13 @@ impl Intake {
             );
         }
         room.push(Arc::clone(&self.all).acquire_many_owned(permits).await?);
-        Ok(Room(room))
+        Ok(RequestMemory(room))
     }
 
     fn of_user(&self, user: &str) -> Arc<Semaphore> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         let mut users = self.of_users.lock().unwrap_or_else(PoisonError::into_inner);
-        // Users without a request are forgotten.
+        // Remove users without requests.
         users.retain(|_, own| Arc::strong_count(own) > 1);
         let own = users
             .entry(user.to_owned())
@@ -103,10 +102,10 @@ mod tests {
         };
         let ada = room("ada", OF_USER).unwrap();
         assert!(room("ada", 1).is_none() && room("ada", 0).is_some());
-        // A request that is larger than the room has all of it.
+        // A request that exceeds the limit reserves the whole limit.
         let bob = room("bob", 10 * OF_USER).unwrap();
         let eve = room("eve", OF_USERS - 2 * OF_USER).unwrap();
-        // Users leave a part to workers.
+        // Users cannot reserve the part that is for workers.
         assert!(room("dan", 1).is_none());
         let workers = room("", ALL - OF_USERS).unwrap();
         assert!(room("", 1).is_none());

@@ -1,7 +1,8 @@
-//! How much a user may have and do, where users are asked who they are.
+//! Quotas and rate limits of users, for coordinators that authenticate users.
 //!
-//! [`Quota`] says how much; `usage.rs` counts what a user has, from the store; `pace.rs` counts calls. The
-//! limits that hold for everybody stand beside what they bound; `docs/security.md` lists them all.
+//! [`Quota`] contains the limits of a user. `usage.rs` counts the data of a user from the store, and
+//! `pace.rs` counts calls. A limit that holds for all callers is defined next to the code that it limits;
+//! `docs/security.md` lists all limits.
 
 mod budget;
 mod intake;
@@ -11,72 +12,74 @@ mod turns;
 mod usage;
 
 pub(crate) use self::budget::{Budget, Reserved, Sender};
-pub(crate) use self::intake::{Intake, Room};
+pub(crate) use self::intake::{Intake, RequestMemory};
 pub(crate) use self::pace::{Permit, RateLimiter};
 pub use self::quotas::{Quota, QuotaError, Quotas, bytes};
-pub(crate) use self::turns::{Turn, Turns};
+pub(crate) use self::turns::{FairQueue, QueueTurn};
 pub(crate) use self::usage::{Usage, usage};
 
-/// Something that a user may not have or do any more.
+/// A limit that a caller would exceed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LimitExceeded {
-    /// A quota.
+    /// The quota of a user.
     #[error(
-        "{user} may have {most} {what}, and would have {wanted}; delete some, or ask an admin for more"
+        "{user} may have at most {most} {what}, but would have {wanted}; delete some, or request a \
+         higher quota"
     )]
     Quota {
-        /// Whose it is.
+        /// The user.
         user: String,
-        /// What is bounded.
+        /// The limited quantity.
         what: &'static str,
-        /// The bound.
+        /// The limit.
         most: u64,
-        /// What there would be.
+        /// The quantity after the rejected change.
         wanted: u64,
     },
-    /// Too many bytes in uploads that have not ended.
+    /// The limit of the bytes of unfinished uploads.
     #[error(
-        "unfinished uploads of {who} may have {most} bytes together and would have {wanted}; try again when \
-         others have ended"
+        "unfinished uploads of {who} may have at most {most} bytes together, but would have \
+         {wanted}; try again after other uploads have ended"
     )]
     Unfinished {
-        /// The senders.
+        /// The senders of the uploads.
         who: &'static str,
-        /// The bound.
+        /// The limit in bytes.
         most: u64,
-        /// The bytes that there would be.
+        /// The size of all uploads after the rejected one, in bytes.
         wanted: u64,
     },
-    /// Too many calls in a time.
-    #[error("{user} may make {most} calls a second; wait a moment and try again")]
+    /// The limit of calls per second.
+    #[error("{user} may make at most {most} calls per second; wait a moment and try again")]
     Rate {
-        /// Who calls.
+        /// The calling user.
         user: String,
-        /// The bound.
+        /// The limit in calls per second.
         most: u32,
     },
-    /// Too many questions that wait.
+    /// The limit of waiting queries.
     #[error(
-        "{user} may have {most} questions wait at a time; wait for some of the answers, and ask again"
+        "{user} may have at most {most} waiting queries; wait for some of the answers, and try \
+         again"
     )]
     Waiting {
         /// The user.
         user: String,
-        /// The bound.
+        /// The limit.
         most: u32,
     },
-    /// Too many calls at once.
-    #[error("{who} may have {most} calls and streams open at a time; end some, and try again")]
+    /// The limit of simultaneous calls.
+    #[error("{who} may have at most {most} open calls and streams; end some, and try again")]
     Calls {
-        /// Who calls.
+        /// The caller.
         who: String,
-        /// The bound.
+        /// The limit.
         most: u32,
     },
 }
 
 impl LimitExceeded {
-    /// The name of the limit, as the metrics have it.
+    /// Returns the name of the limit in the metrics.
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Quota { what, .. } => what,

@@ -1,7 +1,7 @@
-//! Calls in a time, and calls at a time.
+//! Limits of calls per second and of simultaneous calls.
 //!
-//! The crate `governor` does not replace this file: its limiters have one rate for all keys, fixed when they
-//! are made, and do not count open calls. Here each user has a quota, and a reload changes it.
+//! The crate `governor` does not replace this module: its limiters have one fixed rate for all keys, and do
+//! not count open calls. Here each user has a quota, which a reload can change.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,55 +9,60 @@ use std::time::Instant;
 
 use super::{LimitExceeded, Quota};
 
-/// Calls of everybody at a time: what a watcher costs, times this, must fit into memory.
+/// Maximum number of simultaneous calls of all callers. This number times the memory of a watcher must fit
+/// into memory.
 const MOST_CALLS: u32 = 16_384;
-/// A user may save up the calls of this many seconds.
+/// The time for which a user can save up unused calls, in seconds.
 const SAVED: f64 = 5.0;
-/// Users who are kept in mind; without calls they are forgotten beyond it.
+/// Maximum number of remembered users. Above it, users without open calls are removed.
 const MOST_USERS: usize = 4096;
 
-/// Who calls how often.
+/// A limiter of the calls of all users.
 #[derive(Debug, Default)]
 pub(crate) struct RateLimiter(Arc<Mutex<Calls>>);
 
 #[derive(Debug, Default)]
 struct Calls {
     all: u32,
-    of: BTreeMap<String, Account>,
+    by_user: BTreeMap<String, Account>,
 }
 
 #[derive(Debug)]
 struct Account {
-    /// Calls and streams that are open.
+    /// The number of open calls and streams.
     open: u32,
-    /// Calls that may be made now, at the time of the last one.
+    /// The number of calls that the user could still make at the time `at` of the last call.
     left: f64,
     at: Instant,
 }
 
-/// An open call, until it is dropped.
+/// The permission for an open call, until it is dropped.
 #[derive(Debug)]
 pub(crate) struct Permit {
-    of: Arc<Mutex<Calls>>,
-    /// The user, who has a quota.
+    calls: Arc<Mutex<Calls>>,
+    /// The user, if the user has a quota.
     user: Option<String>,
 }
 
 impl Drop for Permit {
     fn drop(&mut self) {
-        let mut calls = self.of.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
         calls.all -= 1;
-        if let Some(account) = self.user.as_ref().and_then(|user| calls.of.get_mut(user)) {
+        if let Some(account) = self
+            .user
+            .as_ref()
+            .and_then(|user| calls.by_user.get_mut(user))
+        {
             account.open -= 1;
         }
     }
 }
 
 impl RateLimiter {
-    /// Begins a call of a user, or of an anonymous caller if the name is empty. Only users have quotas.
+    /// Starts a call of a user, or of an anonymous caller if the name is empty. Only users have quotas.
     ///
     /// # Errors
-    /// [`LimitExceeded`] when there are too many.
+    /// [`LimitExceeded`] if the caller has too many calls.
     pub(crate) fn begin(
         &self,
         user: &str,
@@ -67,7 +72,7 @@ impl RateLimiter {
         let mut calls = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if calls.all >= MOST_CALLS {
             return Err(LimitExceeded::Calls {
-                who: "all together".to_owned(),
+                who: "all callers together".to_owned(),
                 most: MOST_CALLS,
             });
         }
@@ -75,10 +80,10 @@ impl RateLimiter {
             calls.count(user, quota, now)?;
         }
         calls.all += 1;
-        // Without a quota nothing is kept of the user.
+        // Without a quota, the limiter does not store the user.
         let user = quota.map(|_| user.to_owned());
         Ok(Permit {
-            of: Arc::clone(&self.0),
+            calls: Arc::clone(&self.0),
             user,
         })
     }
@@ -86,11 +91,11 @@ impl RateLimiter {
 
 impl Calls {
     fn count(&mut self, user: &str, quota: &Quota, now: Instant) -> Result<(), LimitExceeded> {
-        if self.of.len() >= MOST_USERS && !self.of.contains_key(user) {
-            self.of.retain(|_, account| account.open > 0);
+        if self.by_user.len() >= MOST_USERS && !self.by_user.contains_key(user) {
+            self.by_user.retain(|_, account| account.open > 0);
         }
         let most = f64::from(quota.requests.unwrap_or(0)) * SAVED;
-        let account = self.of.entry(user.to_owned()).or_insert(Account {
+        let account = self.by_user.entry(user.to_owned()).or_insert(Account {
             open: 0,
             left: most,
             at: now,
@@ -124,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_user_who_calls_too_often_waits_and_others_do_not() {
+    fn frequent_caller_waits_and_others_do_not() {
         let (pace, now) = (RateLimiter::default(), Instant::now());
         let quota = Quota {
             requests: Some(10),
@@ -148,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn open_calls_are_counted_until_they_end() {
+    fn open_calls_count_until_their_end() {
         let (pace, now) = (RateLimiter::default(), Instant::now());
         let quota = Quota {
             requests: None,
@@ -163,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_million_watchers_are_refused_before_they_cost_anything() {
+    fn limits_concurrent_anonymous_calls() {
         let (pace, now) = (RateLimiter::default(), Instant::now());
         let open: Vec<_> = (0..1_000_000)
             .map_while(|_| pace.begin("", None, now).ok())
@@ -174,15 +179,15 @@ mod tests {
     }
 
     #[test]
-    fn those_without_a_quota_are_not_counted_among_those_without_a_name() {
+    fn unlimited_users_do_not_count_as_anonymous() {
         let (pace, now) = (RateLimiter::default(), Instant::now());
         drop(pace.begin("", Some(&Quota::default()), now).unwrap());
         drop(pace.begin("", None, now).unwrap());
-        assert_eq!(pace.0.lock().unwrap().of[""].open, 0);
+        assert_eq!(pace.0.lock().unwrap().by_user[""].open, 0);
     }
 
     #[test]
-    fn users_without_calls_are_forgotten_in_the_end() {
+    fn users_without_calls_are_removed() {
         let (pace, now) = (RateLimiter::default(), Instant::now());
         for n in 0..3 * MOST_USERS {
             drop(
@@ -190,6 +195,6 @@ mod tests {
                     .unwrap(),
             );
         }
-        assert!(pace.0.lock().unwrap().of.len() <= MOST_USERS);
+        assert!(pace.0.lock().unwrap().by_user.len() <= MOST_USERS);
     }
 }

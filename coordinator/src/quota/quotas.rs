@@ -1,25 +1,27 @@
-//! Quotas as they are written: `bytes=100G,jobs=1000`, or for one user `ada:bytes=1T`.
+//! The text form of quotas: `bytes=100G,jobs=1000`, or for one user `ada:bytes=1T`.
 
 use std::collections::BTreeMap;
 
-/// Calls a second of a user, and calls and streams at a time, where no quota says otherwise.
+/// The default maximum number of calls of a user per second.
 const CALLS_A_SECOND: u32 = 200;
+/// The default maximum number of simultaneous calls and streams of a user.
 const CALLS_AT_ONCE: u32 = 256;
 
-/// What a user may have and do; `None` is no limit.
+/// The limits of a user. `None` means no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
-    /// Bytes of the user's scenes, receivers and results, and of chunks that are none of these yet.
+    /// Maximum size of the user's scenes, receivers and results, and of chunks that are not yet part of
+    /// these, in bytes.
     pub bytes: Option<u64>,
-    /// Scenes that the user has sent.
+    /// Maximum number of scenes that the user has uploaded.
     pub scenes: Option<u64>,
-    /// Jobs of the user, whether they have ended or not.
+    /// Maximum number of jobs of the user, open and ended ones.
     pub jobs: Option<u64>,
-    /// Tiles of these jobs.
+    /// Maximum number of tiles of these jobs together.
     pub tiles: Option<u64>,
-    /// Calls a second, in the mean; five times as many may come at once.
+    /// Maximum mean number of calls per second. Up to five times as many calls may arrive at once.
     pub requests: Option<u32>,
-    /// Calls and streams at a time.
+    /// Maximum number of simultaneous calls and streams.
     pub calls: Option<u32>,
 }
 
@@ -37,15 +39,15 @@ impl Default for Quota {
     }
 }
 
-/// A text that is no quota.
+/// The error of a text that is not a quota.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{part:?} is no quota; give NAME=N with the names bytes (100G, 1T), scenes, jobs, tiles, requests (a \
-     second) and calls (at a time), separated by commas; N can be `none`; USER: in front is for this user \
-     alone"
+    "{part:?} is not a quota; give NAME=N,… with the names bytes (100G, 1T), scenes, jobs, tiles, \
+     requests (per second) and calls (at the same time); N can be `none`; USER: in front restricts \
+     the quota to this user"
 )]
 pub struct QuotaError {
-    /// The part that is wrong.
+    /// The invalid part of the text.
     pub part: String,
 }
 
@@ -53,14 +55,14 @@ pub struct QuotaError {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Quotas {
     everybody: Quota,
-    of: BTreeMap<String, Quota>,
+    by_user: BTreeMap<String, Quota>,
 }
 
 impl Quotas {
-    /// The quotas of these texts; a user's own begins from that of everybody.
+    /// Parses quotas. The quota of a named user starts from the quota of all users.
     ///
     /// # Errors
-    /// [`QuotaError`] for the first part that is none.
+    /// [`QuotaError`] with the first invalid part.
     pub fn parse(texts: &[String]) -> Result<Self, QuotaError> {
         let mut quotas = Self::default();
         let split = |text: &String| match text.split_once(':') {
@@ -81,19 +83,19 @@ impl Quotas {
                     part: format!(":{text}"),
                 });
             }
-            let quota = quotas.of(&user);
-            quotas.of.insert(user, changed(quota, &text)?);
+            let quota = quotas.for_user(&user);
+            quotas.by_user.insert(user, changed(quota, &text)?);
         }
         Ok(quotas)
     }
 
-    /// The quota of a user.
-    pub fn of(&self, user: &str) -> Quota {
-        self.of.get(user).copied().unwrap_or(self.everybody)
+    /// Returns the quota of a user.
+    pub fn for_user(&self, user: &str) -> Quota {
+        self.by_user.get(user).copied().unwrap_or(self.everybody)
     }
 }
 
-/// A quota with the changes of a text.
+/// Returns `quota` with the changes that `text` lists.
 fn changed(mut quota: Quota, text: &str) -> Result<Quota, QuotaError> {
     for part in text.split(',') {
         let wrong = || QuotaError {
@@ -118,15 +120,15 @@ fn changed(mut quota: Quota, text: &str) -> Result<Quota, QuotaError> {
     Ok(quota)
 }
 
-/// A number of bytes, with K, M, G or T for powers of 1024.
+/// Parses a number of bytes. The suffixes K, M, G and T mean powers of 1024.
 ///
 /// # Errors
-/// A sentence, when it is none.
+/// A sentence, if the text is not a number of bytes.
 pub fn bytes(text: &str) -> Result<u64, String> {
     number(text, true).ok_or_else(|| "give a number of bytes, such as 500G".to_owned())
 }
 
-/// A number; of bytes with K, M, G or T for powers of 1024.
+/// Parses a number. If `bytes` is true, the suffixes K, M, G and T mean powers of 1024.
 fn number(text: &str, bytes: bool) -> Option<u64> {
     let shift = |letter| {
         ["K", "M", "G", "T"]
@@ -158,9 +160,9 @@ mod tests {
     }
 
     #[test]
-    fn quotas_are_read_and_a_user_s_own_comes_first() {
+    fn user_quota_overrides_common_quota() {
         let quotas = parse(&["ada:bytes=1T", "bytes=3G,jobs=7", "requests=none"]).unwrap();
-        let (bob, ada) = (quotas.of("bob"), quotas.of("ada"));
+        let (bob, ada) = (quotas.for_user("bob"), quotas.for_user("ada"));
         assert_eq!(
             (bob.bytes, bob.jobs, bob.requests),
             (Some(3 << 30), Some(7), None)
@@ -169,11 +171,11 @@ mod tests {
             (ada.bytes, ada.jobs, ada.calls),
             (Some(1 << 40), Some(7), Some(CALLS_AT_ONCE))
         );
-        assert_eq!(Quotas::default().of("eve"), Quota::default());
+        assert_eq!(Quotas::default().for_user("eve"), Quota::default());
     }
 
     #[test]
-    fn what_is_no_quota_is_refused() {
+    fn invalid_quotas_are_rejected() {
         for bad in [
             "", "bytes", "bytes=", "bytes=-1", "bytes=1X", "jobs=1K", "jobs=1,", ":jobs=1",
             "bytes=é", "beer=1",

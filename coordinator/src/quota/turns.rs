@@ -1,5 +1,4 @@
-//! Turns for work of which one is done at a time: users come one after the other, however many requests each
-//! has.
+//! Turns for work that runs one at a time. Users alternate, regardless of the number of their requests.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,30 +7,30 @@ use tokio::sync::oneshot;
 
 use super::LimitExceeded;
 
-/// Maximum number of requests of a user that wait.
+/// Maximum number of waiting requests of a user.
 const MAX_WAITING: usize = 64;
 
 /// The queue of a kind of work.
 #[derive(Clone, Debug)]
-pub(crate) struct Turns {
+pub(crate) struct FairQueue {
     queue: Arc<Mutex<Queue>>,
-    /// Maximum number of requests of a user that wait.
+    /// Maximum number of waiting requests of a user.
     most_waiting: usize,
 }
 
 #[derive(Debug, Default)]
 struct Queue {
     is_busy: bool,
-    /// The users with waiting requests, the next one first.
+    /// The users with waiting requests, in the order of their turns.
     users: VecDeque<String>,
-    waiting: BTreeMap<String, VecDeque<oneshot::Sender<Turn>>>,
+    waiting: BTreeMap<String, VecDeque<oneshot::Sender<QueueTurn>>>,
 }
 
-/// The right to work, until it is dropped.
+/// The right to work until the value is dropped.
 #[derive(Debug)]
-pub(crate) struct Turn(Option<Turns>);
+pub(crate) struct QueueTurn(Option<FairQueue>);
 
-impl Default for Turns {
+impl Default for FairQueue {
     fn default() -> Self {
         Self {
             queue: Arc::default(),
@@ -40,8 +39,8 @@ impl Default for Turns {
     }
 }
 
-impl Turns {
-    /// Creates a queue for requests whose number others bound.
+impl FairQueue {
+    /// Creates a queue without a limit, for requests that another limit bounds.
     pub(crate) fn of_bounded_requests() -> Self {
         Self {
             queue: Arc::default(),
@@ -49,16 +48,16 @@ impl Turns {
         }
     }
 
-    /// Waits for the turn of a user. A request that is no longer wanted leaves the queue.
+    /// Waits for the turn of a user. A request whose future is dropped leaves the queue.
     ///
     /// # Errors
-    /// [`LimitExceeded::Waiting`] when the user has too many requests in the queue.
-    pub(crate) async fn take(&self, user: &str) -> Result<Turn, LimitExceeded> {
+    /// [`LimitExceeded::Waiting`] if the user has too many requests in the queue.
+    pub(crate) async fn take(&self, user: &str) -> Result<QueueTurn, LimitExceeded> {
         let granted = {
             let mut queue = self.queue();
             if !queue.is_busy {
                 queue.is_busy = true;
-                return Ok(Turn(Some(self.clone())));
+                return Ok(QueueTurn(Some(self.clone())));
             }
             let own = queue.waiting.entry(user.to_owned()).or_default();
             own.retain(|waiting| !waiting.is_closed());
@@ -72,7 +71,8 @@ impl Turns {
             }
             granted
         };
-        // The queue grants every request that waits, and lives as long as this.
+        // This value keeps the queue alive, and the queue grants a turn to every waiting request, so this
+        // error does not occur.
         granted.await.map_err(|_| self.beyond(user))
     }
 
@@ -83,8 +83,8 @@ impl Turns {
         }
     }
 
-    /// Removes the next request from the queue, which is free without one.
-    fn next(&self) -> Option<oneshot::Sender<Turn>> {
+    /// Removes the next request from the queue. Marks the queue as free if no request waits.
+    fn next(&self) -> Option<oneshot::Sender<QueueTurn>> {
         let mut queue = self.queue();
         while let Some(user) = queue.users.pop_front() {
             let Some(own) = queue.waiting.get_mut(&user) else {
@@ -105,18 +105,18 @@ impl Turns {
     }
 
     fn queue(&self) -> MutexGuard<'_, Queue> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Drop for Turn {
+impl Drop for QueueTurn {
     fn drop(&mut self) {
         let Some(turns) = self.0.take() else { return };
         while let Some(next) = turns.next() {
             match next.send(Self(Some(turns.clone()))) {
                 Ok(()) => return,
-                // The request has gone; the loop gives the turn to the next one.
+                // The request no longer exists. The loop gives the turn to the next one.
                 Err(mut turn) => drop(turn.0.take()),
             }
         }
@@ -131,23 +131,23 @@ mod tests {
 
     use super::*;
 
-    type Waiting<'a> = Pin<Box<dyn Future<Output = Result<Turn, LimitExceeded>> + Send + 'a>>;
+    type Waiting<'a> = Pin<Box<dyn Future<Output = Result<QueueTurn, LimitExceeded>> + Send + 'a>>;
 
-    /// Returns the turn if it has come.
-    fn come(waiting: &mut Waiting<'_>) -> Option<Turn> {
+    /// Returns the turn if the queue has granted it.
+    fn come(waiting: &mut Waiting<'_>) -> Option<QueueTurn> {
         waiting.as_mut().now_or_never().map(Result::unwrap)
     }
 
-    /// Enters the queue.
-    fn wait<'a>(turns: &'a Turns, user: &'a str) -> Waiting<'a> {
+    /// Adds a request to the queue.
+    fn wait<'a>(turns: &'a FairQueue, user: &'a str) -> Waiting<'a> {
         let mut waiting: Waiting<'a> = Box::pin(turns.take(user));
         assert!(come(&mut waiting).is_none());
         waiting
     }
 
     #[test]
-    fn users_come_one_after_the_other() {
-        let turns = Turns::default();
+    fn users_take_turns() {
+        let turns = FairQueue::default();
         let mut turn = turns.take("eve").now_or_never().unwrap().unwrap();
         let names = ["eve", "eve", "eve", "ada", "eve", "bob", "ada"];
         let mut queue: Vec<Waiting<'_>> = names.iter().map(|user| wait(&turns, user)).collect();
@@ -172,11 +172,11 @@ mod tests {
     }
 
     #[test]
-    fn request_that_has_gone_gives_its_turn_back() {
-        let turns = Turns::default();
+    fn dropped_request_returns_its_turn() {
+        let turns = FairQueue::default();
         let turn = turns.take("eve").now_or_never().unwrap().unwrap();
         let gone: Vec<Waiting<'_>> = (0..MAX_WAITING).map(|_| wait(&turns, "eve")).collect();
-        // Requests that have gone do not count for the bound of a user.
+        // Dropped requests do not count for the limit of a user.
         assert!(matches!(
             turns.take("eve").now_or_never(),
             Some(Err(LimitExceeded::Waiting { .. }))
@@ -188,7 +188,7 @@ mod tests {
         drop(turn);
         let first = come(&mut eve).or_else(|| come(&mut ada));
         assert!(first.is_some());
-        // The turn is on its way to a request that leaves at this moment.
+        // The queue has sent the turn to a request that is dropped at this moment.
         drop(first);
         drop((eve, ada));
         drop(granted);

@@ -1,4 +1,4 @@
-//! What a user has, counted from the store's records.
+//! The usage of a user, counted from the store's records.
 
 use sightline_records::JobState;
 use sightline_store::{Queries, StoreError};
@@ -6,7 +6,7 @@ use sightline_store::{Queries, StoreError};
 use super::{LimitExceeded, Quota};
 use crate::jobs::stored_spec;
 
-/// What a user has.
+/// The usage of a user.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Usage {
     pub(crate) bytes: u64,
@@ -15,7 +15,7 @@ pub(crate) struct Usage {
     pub(crate) tiles: u64,
 }
 
-/// What a user has by the records; chunks that are no scene yet are not among them.
+/// Counts the usage of a user from the records. Chunks that are not yet part of a scene do not count.
 pub(crate) fn usage(store: &dyn Queries, user: &str) -> Result<Usage, StoreError> {
     let mut usage = Usage::default();
     for scene in store
@@ -32,7 +32,7 @@ pub(crate) fn usage(store: &dyn Queries, user: &str) -> Result<Usage, StoreError
         if let JobState::Done { bytes, .. } = job.state {
             usage.bytes = usage.bytes.saturating_add(bytes);
         }
-        // Of several jobs with the same receivers each counts them.
+        // If several jobs have the same receivers, each job counts them.
         let receivers = stored_spec::receivers(&job.spec)
             .map_or(0, |ambient| ambient.bytes.unwrap_or_default());
         usage.bytes = usage.bytes.saturating_add(receivers);
@@ -41,7 +41,7 @@ pub(crate) fn usage(store: &dyn Queries, user: &str) -> Result<Usage, StoreError
 }
 
 impl Usage {
-    /// Both together.
+    /// Returns the sum of two usages.
     pub(crate) fn and(self, more: Self) -> Self {
         Self {
             bytes: self.bytes.saturating_add(more.bytes),
@@ -51,10 +51,10 @@ impl Usage {
         }
     }
 
-    /// Checks the quota of a user.
+    /// Checks the usage against the quota of a user.
     ///
     /// # Errors
-    /// [`LimitExceeded::Quota`] with the first thing that is too much.
+    /// [`LimitExceeded::Quota`] with the first exceeded limit.
     pub(crate) fn within(self, quota: &Quota, user: &str) -> Result<(), LimitExceeded> {
         let limits = [
             ("bytes", self.bytes, quota.bytes),

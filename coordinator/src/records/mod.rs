@@ -1,4 +1,6 @@
-//! The store of a coordinator. Every part reads it; a change needs the type that holds its lock.
+//! The records of a coordinator: its store, with the locks of changes.
+//!
+//! Every component reads the store. A change requires the type that holds its lock.
 //!
 //! | type | lock | changes |
 //! |---|---|---|
@@ -6,7 +8,7 @@
 //! | [`OutputCommit`] | of outputs, shared | the output of a tile |
 //! | [`OutputRemoval`] | of outputs, exclusive | blobs of outputs and results that are removed |
 //!
-//! [`Records`] itself has the changes that need no lock.
+//! [`Records`] itself has the changes that do not need a lock.
 
 mod job_changes;
 mod output_commit;
@@ -15,7 +17,8 @@ mod output_removal;
 use std::ops::Deref;
 use std::sync::{Mutex, RwLock};
 
-use sightline_records::{RetentionStamp, SceneRecord};
+use sightline_records::ids::JobId;
+use sightline_records::{JobRecord, RetentionStamp, SceneRecord};
 use sightline_store::{Queries, Store, StoreError, StoreIdentity};
 
 pub(crate) use self::job_changes::JobChanges;
@@ -27,9 +30,10 @@ use crate::telemetry::metrics::Metrics;
 /// The store, with the locks of its changes.
 pub(crate) struct Records {
     store: Box<dyn Store>,
-    /// Held while the record of a job changes and until the scheduler has received the change.
+    /// The lock that a thread holds while it changes the record of a job, and until the scheduler has
+    /// received the change.
     jobs: Mutex<()>,
-    /// Shared by commits of outputs, exclusive for removals of outputs.
+    /// The lock of outputs: shared by commits, exclusive for removals.
     outputs: RwLock<()>,
 }
 
@@ -58,9 +62,17 @@ impl Records {
         self.store
     }
 
-    /// Returns the queries.
+    /// Returns the read-only interface of the store.
     pub(crate) fn queries(&self) -> &dyn Queries {
         &**self
+    }
+
+    /// Returns the record of a job.
+    ///
+    /// # Errors
+    /// [`StoreError::UnknownJob`] if the job does not exist, or another [`StoreError`] if the store fails.
+    pub(crate) fn existing_job(&self, job: JobId) -> Result<JobRecord, StoreError> {
+        self.job(job)?.ok_or(StoreError::UnknownJob { job })
     }
 
     /// Returns the identity of the store.
@@ -81,7 +93,7 @@ impl Records {
         self.store.stamp_retention(stamp)
     }
 
-    /// Reports the durations of durable writes.
+    /// Reports the durations of durable writes to the metrics.
     pub(crate) fn report_syncs(&self, metrics: &Metrics) {
         check_store_call();
         self.store.report_syncs(metrics.syncs());

@@ -5,10 +5,10 @@ use std::sync::{PoisonError, RwLockWriteGuard};
 use sightline_records::ids::Digest;
 use sightline_store::StoreError;
 
+use crate::coordinator::Coordinator;
 use crate::locks::{Rank, Ranked, ranked};
-use crate::state::Coordinator;
 
-/// The removal of outputs, under the exclusive lock of outputs: no output is committed in the meantime. Code
+/// The removal of outputs, under the exclusive lock of outputs. While it exists, no output is committed. Code
 /// that removes blobs of outputs or results holds one.
 pub(crate) struct OutputRemoval<'c> {
     c: &'c Coordinator,
@@ -18,7 +18,7 @@ pub(crate) struct OutputRemoval<'c> {
 impl<'c> OutputRemoval<'c> {
     /// Waits for the lock.
     pub(crate) fn begin(c: &'c Coordinator) -> Self {
-        let outputs = &c.store.outputs;
+        let outputs = &c.records.outputs;
         Self {
             c,
             _exclusive: ranked(Rank::Outputs, || {
@@ -27,15 +27,16 @@ impl<'c> OutputRemoval<'c> {
         }
     }
 
-    /// Removes blobs that no record needs. A fault is logged, and retention removes the blob later.
+    /// Removes blobs that no record references. A failure is logged, and retention removes the blob later.
     ///
     /// # Errors
-    /// A coordinator that leads no longer: it does not know the records of its successor.
+    /// [`StoreError`] if this coordinator no longer leads, because it does not know the records of its
+    /// successor.
     pub(crate) fn remove(
         &self,
         digests: impl IntoIterator<Item = Digest>,
     ) -> Result<(), StoreError> {
-        self.c.store.may_change()?;
+        self.c.records.may_change()?;
         for digest in digests {
             if let Err(e) = self.c.blobs.remove(&digest) {
                 tracing::warn!("{e}");

@@ -1,5 +1,4 @@
-//! The end of a job: assembles its result, ends it in the store, and removes tile outputs that no job needs
-//! any more.
+//! The end of a job: assembles its result, ends the job in the store, and removes unreferenced tile outputs.
 
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -9,57 +8,64 @@ use sightline_records::ids::{Digest, JobId, TileIndex};
 use sightline_records::{JobPhase, JobRecord, JobState, TileState};
 use sightline_scheduler::{Event, Output};
 use sightline_store::StoreError;
-use sightline_traces::Begun;
+use sightline_traces::SpanTime;
 
-use crate::dispatch::{FollowUps, tell};
+use crate::coordinator::Coordinator;
+use crate::dispatch::FollowUps;
+use crate::dispatch::dispatcher::Dispatcher;
 use crate::jobs::invalidate;
 use crate::jobs::suspend;
+use crate::jobs::suspensions::MissingBlob;
 use crate::records::{JobChanges, OutputRemoval};
 use crate::results::assembly::{AssembleError, AssemblyInput, assemble};
-use crate::state::{Coordinator, MissingBlob};
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// A complete job, copied from the scheduler.
-fn parts(c: &Coordinator, id: JobId) -> Option<AssemblyInput> {
-    let scheduling = c.lock();
-    let job = scheduling.scheduler.job(id)?;
-    Some(AssemblyInput {
-        work: Arc::clone(&job.work),
-        profile: job.record.profile.clone().unwrap_or_default(),
-        outputs: job.tiles.iter().map(|t| t.output).collect(),
-        samples: job.samples,
+/// Copies the inputs of a complete job's assembly from the scheduler.
+fn assembly_input(dispatcher: &Dispatcher, id: JobId) -> Option<AssemblyInput> {
+    dispatcher.read(|scheduler| {
+        let job = scheduler.job(id)?;
+        Some(AssemblyInput {
+            planned: Arc::clone(&job.planned),
+            profile: job.record.profile.clone().unwrap_or_default(),
+            outputs: job.tiles.iter().map(|t| t.output).collect(),
+            samples: job.samples,
+        })
     })
 }
 
-/// Assembles a job's result and ends the job.
+/// Assembles a job's result and ends the job. Returns the follow-ups.
 pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
-    // Absent when it was cancelled in the meantime.
-    let Some(parts) = parts(c, id) else {
+    // The scheduler no longer has a job that was cancelled in the meantime.
+    let Some(input) = assembly_input(&c.dispatcher, id) else {
         return FollowUps::default();
     };
-    let begun = Begun::now();
-    let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
-    let assembled = if parts.work.plan().leaves().all(aside) {
-        Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
+    let begun = SpanTime::now();
+    let aside = |n: u32| matches!(input.outputs[n as usize], Output::SetAside(_));
+    let assembled = if input.planned.plan().leaves().all(aside) {
+        Err(
+            "every tile failed; `sightline show` and the workers' logs contain the reasons"
+                .to_owned(),
+        )
     } else {
-        // A panic must not leave the job half ended.
-        let assembled = catch_unwind(AssertUnwindSafe(|| assemble(c, &parts)));
+        // A panic must not leave the job partially ended.
+        let assembled = catch_unwind(AssertUnwindSafe(|| assemble(c, &input)));
         let bytes = assembled
             .as_ref()
             .ok()
             .and_then(|made| made.as_ref().ok())
             .map(|(_, bytes)| *bytes);
-        c.spans.assembled(id, begun, bytes);
+        c.telemetry.spans.assembled(id, begun, bytes);
         match assembled {
             Ok(Err(e)) if e.passes() => {
-                tracing::error!("the result of job {id} waits and is tried again: {e}");
-                return tell(c, Event::AssemblyWaits(id));
+                tracing::error!("the result of job {id} is delayed and will be retried: {e}");
+                return c.tell(Event::AssemblyWaits(id));
             }
-            Ok(Err(e)) if e.is_lost() => return do_without(c, id, &parts, &e),
+            Ok(Err(e)) if e.is_lost() => return handle_lost_input(c, id, &input, &e),
             Ok(r) => r.map_err(|e| e.to_string()),
-            Err(_) => {
-                Err("assembling the result panicked; the coordinator's log says where".to_owned())
-            }
+            Err(_) => Err(
+                "assembling the result panicked; the log of the coordinator contains the location"
+                    .to_owned(),
+            ),
         }
     };
     let mut changes = JobChanges::begin(c);
@@ -67,17 +73,17 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
         changes.tell(event);
         changes.finish()
     };
-    // Tiles may have been opened again, or computed again, while the result was assembled.
-    let now_there = c
-        .lock()
-        .scheduler
-        .job(id)
-        .map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
-    if now_there.as_ref() != Some(&parts.outputs) {
+    // Tiles may have been reopened or computed again during the assembly.
+    let now_there = c.dispatcher.read(|scheduler| {
+        let job = scheduler.job(id)?;
+        Some(job.tiles.iter().map(|t| t.output).collect::<Vec<_>>())
+    });
+    if now_there.as_ref() != Some(&input.outputs) {
         return told(changes, Event::AssemblyDropped(id));
     }
     let ended = match assembled {
-        // Another job with the same bytes may have been deleted before this one's record could name them.
+        // Another job with the same result may have been deleted, with the blob, before this job's record
+        // could reference the blob.
         Ok((digest, _)) if !c.blobs.has(&digest).unwrap_or(true) => {
             return told(changes, Event::AssemblyDropped(id));
         }
@@ -90,7 +96,8 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
     };
     let record = match ended {
         Ok(record) => record,
-        // Paused or cancelled in the meantime: the result stays as a blob and is found again by its content.
+        // The job was paused or cancelled in the meantime. The result stays as a blob, and a later assembly
+        // stores the same blob.
         Err(
             StoreError::IllegalTransition { .. }
             | StoreError::UnknownJob { .. }
@@ -100,21 +107,21 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
             return told(changes, Event::AssemblyDropped(id));
         }
         Err(e) => {
-            tracing::error!("job {id} cannot be ended and is tried again: {e}");
+            tracing::error!("job {id} cannot be ended yet and will be retried: {e}");
             return told(changes, Event::AssemblyWaits(id));
         }
     };
     if let JobState::Failed { reason } = &record.state {
-        c.happened(LogEvent::of_job(
-            Kind::Job,
+        c.record_event(LogEvent::of_job(
+            EventKind::Job,
             id,
             format!("the job has failed: {reason}"),
         ));
     }
     if let JobState::Done { bytes, .. } = record.state {
         tracing::info!("job {id} is done, {bytes} bytes");
-        c.happened(LogEvent::of_job(
-            Kind::Job,
+        c.record_event(LogEvent::of_job(
+            EventKind::Job,
             id,
             format!("the job is done, {bytes} bytes"),
         ));
@@ -122,54 +129,59 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
     let done = matches!(record.state, JobState::Done { .. });
     changes.tell(Event::JobChanged(Box::new(record)));
     let follow_ups = changes.finish();
-    if done && parts.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
-        tidy(c, id, &parts.outputs);
+    if done && input.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
+        tidy(c, id, &input.outputs);
     }
     follow_ups
 }
 
-/// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
-/// the job waits until somebody sends them.
-fn do_without(c: &Coordinator, id: JobId, parts: &AssemblyInput, e: &AssembleError) -> FollowUps {
-    if let Some(follow_ups) = compute_again(c, id, &parts.outputs, e) {
+/// Handles an assembly that failed because an input is lost. Lost outputs are computed again. If the scene or
+/// the receivers are lost, the job waits until a client uploads them.
+fn handle_lost_input(
+    c: &Coordinator,
+    id: JobId,
+    input: &AssemblyInput,
+    e: &AssembleError,
+) -> FollowUps {
+    if let Some(follow_ups) = compute_again(c, id, &input.outputs, e) {
         return follow_ups;
     }
-    let spec = parts.work.spec();
+    let spec = input.planned.spec();
     let mut follow_ups = FollowUps::default();
     let receivers = spec
         .ambient()
         .map(|ambient| MissingBlob::Receivers(ambient.receivers));
-    for lacks in [Some(MissingBlob::Scene(spec.scene)), receivers]
+    for missing in [Some(MissingBlob::Scene(spec.scene)), receivers]
         .into_iter()
         .flatten()
     {
         if !c
             .blobs
-            .open_checked(&lacks.digest())
+            .open_checked(&missing.digest())
             .is_err_and(|e| e.is_lost())
         {
             continue;
         }
-        // Workers that have it do not ask for it, so this may be the first to find it lost.
-        match suspend::lost(c, lacks, &e.to_string()) {
+        // Workers that have the blob do not request it, so the assembly may be the first to detect the loss.
+        match suspend::suspend_jobs(c, missing, &e.to_string()) {
             Ok((waiting, more)) => {
                 follow_ups.extend(more);
                 if waiting.contains(&id) {
-                    // Assembled once it goes on, which it may do already.
-                    follow_ups.extend(tell(c, Event::AssemblyDropped(id)));
+                    // The assembly runs again after the job continues, which may already be the case.
+                    follow_ups.extend(c.tell(Event::AssemblyDropped(id)));
                     return follow_ups;
                 }
             }
             Err(e) => tracing::error!("job {id} cannot be paused yet: {e}"),
         }
     }
-    // It is there again, or the job could not be paused, or the disk cannot read it every time.
-    tracing::error!("the result of job {id} waits and is tried again: {e}");
-    follow_ups.extend(tell(c, Event::AssemblyWaits(id)));
+    // Either the blob exists again, or the job could not be paused, or the disk fails intermittently.
+    tracing::error!("the result of job {id} is delayed and will be retried: {e}");
+    follow_ups.extend(c.tell(Event::AssemblyWaits(id)));
     follow_ups
 }
 
-/// Opens the tiles again whose stored outputs are lost; `None` when none are.
+/// Reopens the tiles whose stored outputs are lost. Returns `None` if no output is lost.
 fn compute_again(
     c: &Coordinator,
     id: JobId,
@@ -193,7 +205,7 @@ fn compute_again(
     tracing::error!("{e}; {} tiles of job {id} are computed again", lost.len());
     let mut changes = JobChanges::begin(c);
     {
-        // Before another upload replaces one.
+        // Remove the damaged blobs before another upload replaces one of them.
         let removal = OutputRemoval::begin(c);
         let broken = lost.iter().map(|(_, digest)| *digest);
         let broken = broken.filter(|d| c.blobs.open_checked(d).is_err_and(|e| e.is_broken()));
@@ -202,7 +214,7 @@ fn compute_again(
         }
     }
     let tiles = lost.iter().map(|(tile, _)| *tile).collect();
-    // Their dependents were computed from the earlier outputs.
+    // The dependent tiles stay done, because they were computed from these outputs before the loss.
     match invalidate::open(&mut changes, id, tiles) {
         Ok(_) => {}
         Err(StoreError::UnknownJob { .. }) => changes.tell(Event::AssemblyDropped(id)),
@@ -214,31 +226,29 @@ fn compute_again(
     Some(changes.finish())
 }
 
-/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
-/// that has not ended or that can be retried.
+/// Removes the tile outputs of a finished job, whose result contains them. An output stays if another job
+/// needs it: an open job, or a job that can be retried.
 fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
-    // No output is committed meanwhile, so none that is committed is removed.
+    // No thread commits outputs during this removal, so a newly committed output is not removed.
     let removal = OutputRemoval::begin(c);
     let mut free: BTreeSet<Digest> = outputs.iter().filter_map(Output::digest).collect();
-    let ids = c.lock().scheduler.job_ids();
+    let ids = c.dispatcher.read(|scheduler| scheduler.job_ids());
     for id in ids {
-        // Job by job, so that heartbeats get the lock in between.
-        if let Some(job) = c.lock().scheduler.job(id) {
-            job.tiles
-                .iter()
-                .filter_map(|t| t.output.digest())
-                .for_each(|d| {
-                    free.remove(&d);
-                });
-        }
+        // Lock the scheduler once per job, so that messages of workers can acquire the lock in between.
+        c.dispatcher.read(|scheduler| {
+            let tiles = scheduler.job(id).map_or(&[][..], |job| &job.tiles);
+            for digest in tiles.iter().filter_map(|tile| tile.output.digest()) {
+                free.remove(&digest);
+            }
+        });
     }
-    let ended = c.store.jobs().and_then(|jobs| {
+    let ended = c.records.jobs().and_then(|jobs| {
         let retriable = |j: &JobRecord| {
-            // Of those that are done, only ones with tiles set aside.
+            // Among done jobs, only jobs with tiles set aside still need their outputs.
             j.id != finished && j.state.phase().ended()
         };
         for job in jobs.iter().filter(|j| retriable(j)) {
-            let tiles = c.store.tiles(job.id)?;
+            let tiles = c.records.tiles(job.id)?;
             let is_whole = tiles
                 .iter()
                 .all(|tile| matches!(tile.state, TileState::Done { .. }));
@@ -258,6 +268,6 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
     let unneeded = outputs.iter().filter_map(Output::digest);
     let unneeded = unneeded.filter(|d| free.contains(d));
     if let Err(e) = ended.and_then(|()| removal.remove(unneeded)) {
-        tracing::warn!("the tile outputs of job {finished} are kept: {e}");
+        tracing::warn!("the tile outputs of job {finished} cannot be removed: {e}");
     }
 }

@@ -4,3 +4,4 @@ pub(crate) mod assembly;
 pub(crate) mod finalize;
 pub(crate) mod partial;
 pub(crate) mod queries;
+pub(crate) mod state;

@@ -1,31 +1,32 @@
-//! A result of what is done of a job: cells that are not done show everything, as undecided.
+//! Partial results: the results of the done tiles of a job. Cells of other tiles show all triangles, as
+//! undecided.
 
 use std::io::{self, Write};
 use std::sync::{Arc, PoisonError};
 
 use sightline_records::JobState;
 use sightline_records::ids::{Digest, JobId};
-use sightline_scheduler::{Job, Output};
+use sightline_scheduler::{OpenJob, Output};
 use sightline_store::{BlobError, StoreError};
 
+use crate::coordinator::Coordinator;
 use crate::jobs::stored_spec;
-use crate::kept::CachedPartial;
 use crate::results::assembly::{AssembleError, AssemblyInput, write};
-use crate::state::Coordinator;
+use crate::results::state::CachedPartial;
 
-/// A job of which nothing can be shown.
+/// The reason why no partial result of a job exists.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum PartialError {
-    /// None of its tiles is done.
-    #[error("none of the tiles with cells of job {0} is done yet; try again later")]
+    /// No tile with cells is done.
+    #[error("job {0} has no finished tile with cells yet; try again later")]
     Nothing(JobId),
-    /// It ended while this was made.
-    #[error("job {0} has ended or changed meanwhile; ask again")]
+    /// The job ended or changed during the assembly.
+    #[error("job {0} ended or changed during the assembly; send the request again")]
     Changed(JobId),
-    /// The asker has gone.
+    /// The caller no longer waits.
     #[error("the caller no longer waits for the result")]
     Gone,
-    /// Another version of the program began the job.
+    /// Another version of the program created the job.
     #[error("{0}")]
     Outdated(String),
     /// The store failed.
@@ -34,12 +35,12 @@ pub(crate) enum PartialError {
     /// A blob cannot be read.
     #[error(transparent)]
     Blob(#[from] BlobError),
-    /// The outputs do not fit together.
+    /// The outputs cannot be assembled.
     #[error(transparent)]
     Assemble(#[from] AssembleError),
 }
 
-/// A file in memory whose writing ends when the caller has gone.
+/// A file in memory, whose writes fail after the caller has gone.
 struct WhileAsked<'a> {
     bytes: Vec<u8>,
     is_gone: &'a (dyn Fn() -> bool + Sync),
@@ -48,7 +49,7 @@ struct WhileAsked<'a> {
 impl Write for WhileAsked<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if (self.is_gone)() {
-            return Err(io::Error::other("the caller has gone"));
+            return Err(io::Error::other("the caller has disconnected"));
         }
         self.bytes.write(bytes)
     }
@@ -58,24 +59,27 @@ impl Write for WhileAsked<'_> {
     }
 }
 
-/// Makes the partial result of a job, or reads the result of a job that is done. One partial result is made
-/// at a time. Stops when the asker `is_gone`.
+/// Assembles the partial result of a job, or reads the result of a done job. The coordinator assembles one
+/// partial result at a time, and stops if `is_gone` returns true.
 pub(crate) fn so_far(
     c: &Coordinator,
     id: JobId,
     is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<Arc<[u8]>, PartialError> {
-    let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+    let record = c
+        .records
+        .job(id)?
+        .ok_or(StoreError::UnknownJob { job: id })?;
     if let JobState::Done { result, .. } = record.state {
         return Ok(c.blobs.read(&result)?.into());
     }
-    let work = stored_spec::whole(&*c.blobs, &record.spec).map_err(PartialError::Outdated)?;
+    let planned = stored_spec::whole(&*c.blobs, &record.spec).map_err(PartialError::Outdated)?;
     let profile = record.profile.clone().unwrap_or_default();
-    let job =
-        Job::new(record, Arc::new(work), c.store.tiles(id)?).map_err(PartialError::Outdated)?;
+    let job = OpenJob::new(record, Arc::new(planned), c.records.tiles(id)?)
+        .map_err(PartialError::Outdated)?;
     let outputs: Vec<Output> = job.tiles.iter().map(|tile| tile.output).collect();
     if !job
-        .work
+        .planned
         .plan()
         .leaves()
         .any(|n| matches!(outputs[n as usize], Output::Done(_)))
@@ -83,6 +87,7 @@ pub(crate) fn so_far(
         return Err(PartialError::Nothing(id));
     }
     let mut last = c
+        .results
         .last_partial
         .lock()
         .unwrap_or_else(PoisonError::into_inner);
@@ -90,12 +95,12 @@ pub(crate) fn so_far(
     if let Some(made) = last
         .0
         .as_ref()
-        .filter(|made| made.job == id && made.of == names)
+        .filter(|made| made.job == id && made.outputs == names)
     {
         return Ok(Arc::clone(&made.bytes));
     }
-    let parts = AssemblyInput {
-        work: Arc::clone(&job.work),
+    let input = AssemblyInput {
+        planned: Arc::clone(&job.planned),
         profile,
         outputs,
         samples: job.samples,
@@ -104,12 +109,15 @@ pub(crate) fn so_far(
         bytes: Vec::new(),
         is_gone,
     };
-    if let Err(e) = write(c, &parts, &mut made) {
+    if let Err(e) = write(c, &input, &mut made) {
         if is_gone() {
             return Err(PartialError::Gone);
         }
-        // The job may have ended meanwhile, and its tiles' outputs be in its result.
-        let ended = c.store.job(id)?.is_none_or(|job| job.state.phase().ended());
+        // The job may have ended in the meantime, so that its outputs are now part of its result.
+        let ended = c
+            .records
+            .job(id)?
+            .is_none_or(|job| job.state.phase().ended());
         return Err(if ended {
             PartialError::Changed(id)
         } else {
@@ -119,7 +127,7 @@ pub(crate) fn so_far(
     let bytes: Arc<[u8]> = made.bytes.into();
     last.0 = Some(CachedPartial {
         job: id,
-        of: names,
+        outputs: names,
         bytes: Arc::clone(&bytes),
     });
     Ok(bytes)

@@ -1,5 +1,7 @@
-//! Questions about stored results. The coordinator reads sets; what needs rays or exact queries is answered
-//! by whoever it was given, because it samples nothing itself.
+//! Queries about stored results.
+//!
+//! The coordinator reads sets. Because it does not sample, a [`SceneQueries`] program answers the queries
+//! that need rays or exact visibility.
 
 use std::sync::{Arc, PoisonError};
 
@@ -7,30 +9,33 @@ use sightline_proto::v1;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_records::JobRecord;
 use sightline_records::ids::JobId;
-use sightline_scene::{Scene, SceneError};
-use sightline_store::BlobError;
+use sightline_scene::{Scene, SceneError, TriangleId};
+use sightline_store::{BlobError, Blobs};
+use sightline_viewcells::CellIndex;
 
+use crate::coordinator::Coordinator;
 use crate::jobs::control::{self, JobError};
 use crate::jobs::stored_spec;
-use crate::kept::SceneQueries;
-use crate::state::Coordinator;
-use crate::telemetry::metrics::Cache;
+use crate::records::Records;
+use crate::results::state::{ResultState, SceneQueries};
+use crate::telemetry::metrics::CacheOutcome;
 
-/// Faces of the cube that is rendered around a viewpoint.
+/// The number of faces of the cube that is rendered around a viewpoint.
 const CUBE_FACES: u64 = 6;
-/// Maximum number of pixels of a measurement: seconds of one question, for which the others wait.
+/// Maximum number of pixels of a measurement. More pixels would make other queries wait for more than
+/// seconds.
 const MAX_PIXELS: u64 = 100_000_000;
 
-/// A question without an answer.
+/// The reason why a query has no answer.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum AskError {
     /// The job has no result.
     #[error(transparent)]
     Job(#[from] JobError),
-    /// The question is about something that is not there.
+    /// The query names an item that does not exist.
     #[error("{0}")]
     Wrong(String),
-    /// It cannot be answered for this result, or here.
+    /// The result, or this coordinator, cannot answer the query.
     #[error("{0}")]
     Unable(String),
     /// A blob cannot be read.
@@ -44,27 +49,35 @@ pub(crate) enum AskError {
     Scene(#[from] SceneError),
 }
 
-/// A done job's result. The one that was asked about last stays open.
+/// Opens a done job's result. The result that was queried last stays open.
 fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
-    let digest = control::result(c, job)?;
-    has_sets(&control::record(c, job).map_err(JobError::from)?)?;
-    let mut last = c.last_asked.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((_, pvs)) = last.as_ref().filter(|(of, _)| *of == digest) {
-        c.metrics.looked("result", Cache::Hit);
+    let digest = control::result(&c.records, job)?;
+    has_sets(&c.records.existing_job(job).map_err(JobError::from)?)?;
+    let mut last = c
+        .results
+        .last_queried
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, pvs)) = last.as_ref().filter(|(queried, _)| *queried == digest) {
+        c.telemetry
+            .metrics
+            .cache_request("result", CacheOutcome::Hit);
         return Ok(Arc::clone(pvs));
     }
-    c.metrics.looked("result", Cache::Miss);
+    c.telemetry
+        .metrics
+        .cache_request("result", CacheOutcome::Miss);
     let pvs = Arc::new(Pvs::from_bytes(c.blobs.read(&digest)?)?);
     *last = Some((digest, Arc::clone(&pvs)));
     Ok(pvs)
 }
 
-/// Whether a job computes sets that can be asked about.
+/// Checks that a job computes visible sets, which can be queried.
 pub(crate) fn has_sets(record: &JobRecord) -> Result<(), AskError> {
     let none = || {
         let id = record.id;
         AskError::Unable(format!(
-            "job {id} computes ambient occlusion and has no sets; `Fetch` gives its result"
+            "job {id} computes ambient occlusion and has no sets; fetch its result with `Fetch`"
         ))
     };
     if stored_spec::receivers(&record.spec).is_some() {
@@ -74,16 +87,20 @@ pub(crate) fn has_sets(record: &JobRecord) -> Result<(), AskError> {
     }
 }
 
-/// A job's record and its scene.
-pub(crate) fn scene(c: &Coordinator, job: JobId) -> Result<(JobRecord, Scene), AskError> {
-    let record = control::record(c, job).map_err(JobError::from)?;
-    let scene = Scene::from_blob(&record.name, &c.blobs.read(&record.scene)?)?;
+/// Reads a job's record and its scene.
+pub(crate) fn scene(
+    records: &Records,
+    blobs: &dyn Blobs,
+    job: JobId,
+) -> Result<(JobRecord, Scene), AskError> {
+    let record = records.existing_job(job).map_err(JobError::from)?;
+    let scene = Scene::from_blob(&record.name, &blobs.read(&record.scene)?)?;
     Ok((record, scene))
 }
 
-/// The cell of a point.
-fn cell_at(pvs: &Pvs, v1::Point { x, y, z }: v1::Point) -> Result<u32, AskError> {
-    pvs.find_cell([x, y, z]).ok_or_else(|| {
+/// Returns the cell that contains a point.
+fn cell_at(pvs: &Pvs, v1::Point { x, y, z }: v1::Point) -> Result<CellIndex, AskError> {
+    pvs.find_cell([x, y, z]).map(CellIndex).ok_or_else(|| {
         let [min, max] = pvs.tree().view_box();
         AskError::Wrong(format!(
             "({x}, {y}, {z}) is outside the view box, which extends from {min:?} to {max:?}"
@@ -91,22 +108,22 @@ fn cell_at(pvs: &Pvs, v1::Point { x, y, z }: v1::Point) -> Result<u32, AskError>
     })
 }
 
-/// A cell that there is.
-fn cell_of(pvs: &Pvs, cell: u32) -> Result<u32, AskError> {
+/// Checks that a cell exists, and returns it.
+fn cell_of(pvs: &Pvs, cell: CellIndex) -> Result<CellIndex, AskError> {
     let cells = pvs.cells();
     let none = || {
         AskError::Wrong(format!(
-            "there is no cell {cell}; the result has {cells}, from 0"
+            "cell {cell} does not exist; the result has {cells} cells, numbered from 0"
         ))
     };
-    (cell < cells).then_some(cell).ok_or_else(none)
+    (cell.0 < cells).then_some(cell).ok_or_else(none)
 }
 
 fn nowhere() -> AskError {
-    AskError::Wrong("give a point or a cell".to_owned())
+    AskError::Wrong("the query names no place; give a point or a cell".to_owned())
 }
 
-/// The set of a cell.
+/// Answers a query for the set of a cell.
 pub(crate) fn query(
     c: &Coordinator,
     asked: &v1::QueryRequest,
@@ -116,12 +133,12 @@ pub(crate) fn query(
     let from = asked.from.ok_or_else(nowhere)?;
     let cell = match from {
         From::Point(point) => cell_at(&pvs, point)?,
-        From::Cell(cell) => cell_of(&pvs, cell)?,
+        From::Cell(cell) => cell_of(&pvs, CellIndex(cell))?,
     };
     let (mut visible, mut undecided, mut names) = (Vec::new(), Vec::new(), Vec::new());
     if asked.objects {
-        pvs.visible_objects(cell, &mut visible)?;
-        pvs.undecided_objects(cell, &mut undecided)?;
+        pvs.visible_objects(cell.0, &mut visible)?;
+        pvs.undecided_objects(cell.0, &mut undecided)?;
         let name = |id: &u32| {
             pvs.objects()
                 .get(*id as usize)
@@ -129,21 +146,21 @@ pub(crate) fn query(
         };
         names = visible.iter().map(name).collect();
     } else {
-        pvs.visible(cell, &mut visible)?;
-        pvs.undecided(cell, &mut undecided)?;
+        pvs.visible(cell.0, &mut visible)?;
+        pvs.undecided(cell.0, &mut undecided)?;
     }
-    let bounds = pvs.cell_bounds(cell).unwrap_or_default();
+    let bounds = pvs.cell_bounds(cell.0).unwrap_or_default();
     Ok(v1::QueryResponse {
-        cell,
+        cell: cell.0,
         r#box: bounds.concat(),
         visible,
         undecided,
         names,
-        set_aside: pvs.is_set_aside(cell)?,
+        set_aside: pvs.is_set_aside(cell.0)?,
     })
 }
 
-/// Computes why a triangle is visible or not. Stops when the asker `is_gone`.
+/// Explains why a triangle is visible or not. Stops if `is_gone` returns true.
 pub(crate) fn why(
     c: &Coordinator,
     asked: &v1::WhyRequest,
@@ -154,21 +171,22 @@ pub(crate) fn why(
     let from = asked.from.ok_or_else(nowhere)?;
     let cell = match from {
         From::Point(point) => cell_at(&pvs, point)?,
-        From::Cell(cell) => cell_of(&pvs, cell)?,
+        From::Cell(cell) => cell_of(&pvs, CellIndex(cell))?,
     };
     if asked.triangle >= pvs.triangle_count() {
         let (triangle, count) = (asked.triangle, pvs.triangle_count());
         return Err(AskError::Wrong(format!(
-            "there is no triangle {triangle}; the scene has {count}, from 0"
+            "triangle {triangle} does not exist; the scene has {count} triangles, numbered from 0"
         )));
     }
-    let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?
-        .why(&pvs, scene, (cell, asked.triangle), is_gone)
+    let (_, scene) = scene(&c.records, &*c.blobs, JobId(asked.job))?;
+    c.results
+        .queries_of_scenes()?
+        .why(&pvs, scene, cell, TriangleId(asked.triangle), is_gone)
         .map_err(AskError::Unable)
 }
 
-/// Counts wrong pixels. Stops when the asker `is_gone`.
+/// Counts wrong pixels. Stops if `is_gone` returns true.
 pub(crate) fn measure(
     c: &Coordinator,
     asked: &v1::MeasureRequest,
@@ -182,7 +200,7 @@ pub(crate) fn measure(
     };
     if asked.viewpoints > 1000 {
         return Err(AskError::Wrong(format!(
-            "{} viewpoints are more than 1000",
+            "{} viewpoints exceed the maximum of 1000",
             asked.viewpoints
         )));
     }
@@ -195,23 +213,30 @@ pub(crate) fn measure(
     let pixels = u64::from(asked.viewpoints) * CUBE_FACES * u64::from(asked.resolution).pow(2);
     if pixels > MAX_PIXELS {
         return Err(AskError::Wrong(format!(
-            "{} viewpoints at resolution {} have {pixels} pixels, and at most {MAX_PIXELS} are measured; \
-             ask for fewer viewpoints or a lower resolution",
+            "{} viewpoints at resolution {} have {pixels} pixels, but the maximum is {MAX_PIXELS}; \
+             request fewer viewpoints or a lower resolution",
             asked.viewpoints, asked.resolution
         )));
     }
     let pvs = open(c, JobId(asked.job))?;
-    let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?
+    let (_, scene) = scene(&c.records, &*c.blobs, JobId(asked.job))?;
+    c.results
+        .queries_of_scenes()?
         .measure(&pvs, scene, &asked, is_gone)
         .map_err(AskError::Unable)
 }
 
-fn answers(c: &Coordinator) -> Result<&dyn SceneQueries, AskError> {
-    let none = || {
-        AskError::Unable(
-            "the program that this coordinator is in answers no such questions".to_owned(),
-        )
-    };
-    c.answers.get().map(|answers| &**answers).ok_or_else(none)
+impl ResultState {
+    /// Returns the program that answers queries which need the scene.
+    fn queries_of_scenes(&self) -> Result<&dyn SceneQueries, AskError> {
+        let none = || {
+            AskError::Unable(
+                "the program that contains this coordinator does not support this query".to_owned(),
+            )
+        };
+        self.scene_queries
+            .get()
+            .map(|queries| &**queries)
+            .ok_or_else(none)
+    }
 }

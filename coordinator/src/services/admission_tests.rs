@@ -1,5 +1,4 @@
-//! Calls to a coordinator on loopback that must be answered before their bytes are kept or their work is
-//! done.
+//! Tests that a coordinator rejects bad calls before it stores their bytes or does their work, on loopback.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -16,8 +15,9 @@ use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_pvs::Pvs;
 use sightline_records::QuarantineRecord;
 use sightline_records::ids::JobId;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 use sightline_scheduler::{Event, WorkerCommand};
+use sightline_viewcells::CellIndex;
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
@@ -27,17 +27,17 @@ use tonic::{Code, Request, Status};
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
+use crate::config::Config;
+use crate::coordinator::Coordinator;
 use crate::jobs::control;
-use crate::kept::SceneQueries;
-use crate::lifecycle::Config;
 use crate::quota::Quotas;
 use crate::records::JobChanges;
-use crate::state::Coordinator;
+use crate::results::state::SceneQueries;
 use crate::tests::life::{join, output, put, triangle, two_tiles};
-use crate::workers::lease_tags::Use;
+use crate::workers::lease_tags::LeaseUse;
 use crate::workers::sessions::{self, Message};
 
-/// How long an answer may take before a test fails.
+/// Maximum time for an answer before a test fails.
 const LIMIT: Duration = Duration::from_secs(60);
 
 /// A coordinator that serves until the end of the test.
@@ -90,7 +90,7 @@ async fn served_with(quotas: &[&str], limits: ConnectionLimits) -> ServedCoordin
     }
 }
 
-/// Creates a stream of messages that stays open.
+/// Creates a stream that sends the messages and stays open.
 async fn open<M>(messages: Vec<M>) -> (mpsc::Sender<M>, ReceiverStream<M>) {
     let (send, stream) = mpsc::channel(messages.len().max(1));
     for message in messages {
@@ -116,7 +116,7 @@ fn piece(total: u64) -> v1::Chunk {
     chunks::chunk(vec![7; 9], 0, total)
 }
 
-/// Sends a result whose stream stays open, and returns the answer.
+/// Sends a tile's output on a stream that stays open, and returns the answer.
 async fn put_result(served: &ServedCoordinator, parts: Vec<v1::ResultPart>) -> Result<(), Status> {
     let (_open, parts) = open(parts).await;
     let answer = WorkersClient::new(served.channel.clone())
@@ -126,25 +126,25 @@ async fn put_result(served: &ServedCoordinator, parts: Vec<v1::ResultPart>) -> R
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
+async fn result_header_is_rejected_without_lease_or_with_wrong_length() {
     let served = served(&[]).await;
     let c = Arc::clone(&served.c);
     let grant = tokio::task::spawn_blocking(move || {
         let scene = c.take_scene(&triangle()).unwrap();
         two_tiles(&c, scene);
-        let (_, mut orders) = join(&c, "ada");
-        let WorkerCommand::Grant(grant) = orders.try_recv().unwrap() else {
+        let (_, mut commands) = join(&c, "ada");
+        let WorkerCommand::Grant(grant) = commands.try_recv().unwrap() else {
             panic!("no tile")
         };
         grant.lease
     });
     let given = grant.await.unwrap();
-    let lease = served.c.lease_tags.to_wire(&given, Use::Hold);
+    let lease = served.c.workers.lease_tags.to_wire(&given, LeaseUse::Hold);
     let piece = |total| v1::ResultPart {
         part: Some(v1::result_part::Part::Chunk(piece(total))),
     };
     let cases = [
-        // A lease that was never given, of a tile, of a job that there is not.
+        // A lease that was never granted, of a tile of a job that does not exist.
         (
             vec![header(
                 v1::Lease {
@@ -163,7 +163,7 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
             vec![header(v1::Lease { tile: 99, ..lease }, 9)],
             Code::FailedPrecondition,
         ),
-        // Made up: for any start of the coordinator, with another tag, with the tag of a helper.
+        // Forged leases: for any start of the coordinator, with another tag, with the tag of a helper.
         (
             vec![header(
                 v1::Lease {
@@ -180,12 +180,15 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
             Code::FailedPrecondition,
         ),
         (
-            vec![header(served.c.lease_tags.to_wire(&given, Use::Help), 9)],
+            vec![header(
+                served.c.workers.lease_tags.to_wire(&given, LeaseUse::Help),
+                9,
+            )],
             Code::FailedPrecondition,
         ),
-        // More than an output of two cells and one triangle can have.
+        // More bytes than an output of two cells and one triangle can have.
         (vec![header(lease, 1 << 30)], Code::InvalidArgument),
-        // Another length than the header has announced, in either direction.
+        // More or fewer bytes than the header announced.
         (vec![header(lease, 100), piece(200)], Code::InvalidArgument),
         (vec![header(lease, 100), piece(50)], Code::InvalidArgument),
     ];
@@ -193,7 +196,7 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
         let refused = tokio::time::timeout(LIMIT, put_result(&served, parts)).await;
         let refused = refused.expect("the call waits for its end").unwrap_err();
         assert_eq!(refused.code(), code, "{refused}");
-        assert_eq!(served.c.unfinished.all(), 0);
+        assert_eq!(served.c.uploads.unfinished.all(), 0);
     }
     let refused = put_result(&served, vec![header(lease, 1 << 30)])
         .await
@@ -208,19 +211,19 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
         .await
         .unwrap_err();
     assert_eq!(longer.code(), Code::InvalidArgument, "{longer}");
-    // A result under a good lease is awaited, the longest one, too.
+    // An output under a valid lease is accepted, even the longest one.
     for bytes in [100, most] {
         let mut calls = WorkersClient::new(served.channel.clone());
         let (_open, parts) = open(vec![header(lease, bytes), piece(bytes)]).await;
         let waiting = tokio::spawn(async move { calls.put_result(parts).await.map(|_| ()) });
-        until(|| served.c.unfinished.all() == bytes).await;
+        until(|| served.c.uploads.unfinished.all() == bytes).await;
         waiting.abort();
-        until(|| served.c.unfinished.all() == 0).await;
+        until(|| served.c.uploads.unfinished.all() == 0).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn scene_file_is_refused_at_a_header_with_many_rules_or_a_long_text() {
+async fn scene_file_header_is_rejected_with_many_rules_or_long_text() {
     use v1::scene_file_part::Part;
     let served = served(&[]).await;
     let long = "x".repeat(1025);
@@ -254,7 +257,7 @@ async fn scene_file_is_refused_at_a_header_with_many_rules_or_a_long_text() {
     }
 }
 
-/// Joins as a worker that shows an identity; returns the identity of the welcome, and the open stream.
+/// Joins as a worker that shows an identity. Returns the identity in the welcome, and the open stream.
 async fn join_as(
     served: &ServedCoordinator,
     name: &str,
@@ -291,21 +294,20 @@ async fn join_as(
     (welcome.identity, stream)
 }
 
-/// Returns the troubles of the connected workers.
+/// Returns the faults of the connected workers.
 fn troubles(served: &ServedCoordinator) -> Vec<Option<&'static str>> {
-    let now = served.c.now_plain();
+    let now = served.c.scheduler_now();
     served
         .c
-        .lock()
-        .scheduler
-        .roster(now)
+        .dispatcher
+        .read(|scheduler| scheduler.roster(now))
         .into_iter()
         .map(|member| member.trouble)
         .collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
+async fn stranger_cannot_quarantine_worker_of_same_name() {
     let served = served(&[]).await;
     let (ada, stream) = join_as(&served, "ada", b"").await;
     drop(stream);
@@ -327,7 +329,7 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
     assert!(troubles(&served)[0].is_some_and(|trouble| trouble.contains("quarantined")));
     drop(stream);
     until(|| troubles(&served).is_empty()).await;
-    // The stranger stays quarantined, the worker whose name it took is free.
+    // The stranger stays quarantined, but the worker with the same name is not.
     let (again, stream) = join_as(&served, "ada", &stranger).await;
     assert_eq!(again, stranger);
     assert!(troubles(&served)[0].is_some());
@@ -336,10 +338,10 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
     let (again, _stream) = join_as(&served, "ada", &ada).await;
     assert_eq!(again, ada);
     assert_eq!(troubles(&served), [None]);
-    // A person releases by the name as well as by the signature.
+    // An admin can release by the name as well as by the signature.
     assert!(!crate::workers::quarantine::release(&served.c, "bob").unwrap());
     assert!(crate::workers::quarantine::release(&served.c, "ada").unwrap());
-    assert!(served.c.store.quarantined().unwrap().is_empty());
+    assert!(served.c.records.quarantined().unwrap().is_empty());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -360,7 +362,7 @@ async fn silent_calls_end() {
         refused.expect("the call does not end").unwrap_err().code(),
         Code::DeadlineExceeded
     );
-    // A stream that workers keep open is limited until its first message.
+    // A stream that workers keep open has a time limit until its first message.
     let mut calls = WorkersClient::new(served.channel.clone());
     let (_open, messages) = open(Vec::new()).await;
     let refused = tokio::time::timeout(LIMIT, calls.work(messages))
@@ -380,7 +382,7 @@ async fn silent_calls_end() {
     );
 }
 
-/// Waits until something is the case.
+/// Waits until `is` returns true.
 async fn until(is: impl Fn() -> bool) {
     let wait = async {
         while !is() {
@@ -392,9 +394,9 @@ async fn until(is: impl Fn() -> bool) {
         .expect("it did not come");
 }
 
-/// Puts a caller where a guard with tokens would.
+/// Adds a caller to a request, like the authentication by tokens.
 fn by<T>(user: &str, message: T) -> Request<T> {
-    let scopes = crate::access::Scopes::of(&[crate::access::Scope::Submit]);
+    let scopes = crate::access::Scopes::new(&[crate::access::Scope::Submit]);
     let mut request = Request::new(message);
     request.extensions_mut().insert(Caller::User {
         name: user.to_owned(),
@@ -404,7 +406,7 @@ fn by<T>(user: &str, message: T) -> Request<T> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn scene_file_counts_from_its_first_chunk_on() {
+async fn scene_file_counts_from_first_chunk() {
     let served = served(&["bytes=100"]).await;
     let file = |total: u64| {
         use v1::scene_file_part::Part;
@@ -417,7 +419,7 @@ async fn scene_file_counts_from_its_first_chunk_on() {
             .map(|part| v1::SceneFilePart { part: Some(part) })
             .to_vec()
     };
-    // Too long for a file, at once, while the stream is open.
+    // A header with a too long file is rejected immediately, while the stream is open.
     let (_held, parts) = open(file((1 << 30) + 1)).await;
     let call = async {
         JobsClient::new(served.channel.clone())
@@ -429,7 +431,7 @@ async fn scene_file_counts_from_its_first_chunk_on() {
         .expect("the call waits for its end")
         .unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
-    // Files of a user count together before they have arrived.
+    // Unfinished files of one user count together.
     let caller = by("ada", ()).extensions().get::<Caller>().unwrap().clone();
     let first = super::jobs::begin_file(&served.c, &caller, 60)
         .await
@@ -440,7 +442,7 @@ async fn scene_file_counts_from_its_first_chunk_on() {
         .unwrap();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     assert!(
-        refused.message().contains("ada may have 100 bytes"),
+        refused.message().contains("ada may have at most 100 bytes"),
         "{refused}"
     );
     drop(first);
@@ -451,7 +453,7 @@ async fn scene_file_counts_from_its_first_chunk_on() {
     );
 }
 
-/// Sends the head of a request, and returns the first line of the answer.
+/// Sends the head of a request and returns the first line of the answer.
 fn head(pages: SocketAddr, request: &str) -> String {
     let mut stream = TcpStream::connect(pages).unwrap();
     stream.set_read_timeout(Some(LIMIT)).unwrap();
@@ -466,7 +468,7 @@ fn head(pages: SocketAddr, request: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn posted_scene_is_refused_by_its_announced_length() {
+async fn posted_scene_is_rejected_by_announced_length() {
     let served = served(&[]).await;
     let pages = served.pages;
     for length in ["Content-Length: 1073741825", "Transfer-Encoding: chunked"] {
@@ -478,7 +480,7 @@ async fn posted_scene_is_refused_by_its_announced_length() {
     }
 }
 
-/// Answers that last until their asker has gone.
+/// Answers that run until the caller has gone.
 struct EndlessAnswers {
     begun: Mutex<events::Sender<u32>>,
     count: AtomicU32,
@@ -501,7 +503,8 @@ impl SceneQueries for EndlessAnswers {
         &self,
         _: &Pvs,
         _: Scene,
-        _: (u32, u32),
+        _: CellIndex,
+        _: TriangleId,
         is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::WhyResponse, String> {
         self.ask(is_gone)
@@ -522,10 +525,10 @@ impl SceneQueries for EndlessAnswers {
 fn done(c: &Arc<Coordinator>) -> JobId {
     let scene = c.take_scene(&triangle()).unwrap();
     let id = two_tiles(c, scene);
-    let (worker, mut orders) = join(c, "ada");
-    while control::result(c, id).is_err() {
-        while let Ok(order) = orders.try_recv() {
-            let WorkerCommand::Grant(grant) = order else {
+    let (worker, mut commands) = join(c, "ada");
+    while control::result(&c.records, id).is_err() {
+        while let Ok(command) = commands.try_recv() {
+            let WorkerCommand::Grant(grant) = command else {
                 continue;
             };
             put(c, &grant, &output(&grant, &[0])).unwrap();
@@ -537,7 +540,7 @@ fn done(c: &Arc<Coordinator>) -> JobId {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn question_ends_when_its_asker_has_gone() {
+async fn question_ends_when_caller_has_gone() {
     let served = served(&[]).await;
     let (begun, begins) = events::channel();
     served.c.answer_with(Box::new(EndlessAnswers {
@@ -572,7 +575,7 @@ async fn question_ends_when_its_asker_has_gone() {
                     .map(drop),
             }
         });
-        // Each begins: the one before has ended with its call.
+        // Each query starts, because the previous one ended with its call.
         let begins = Arc::clone(&begins);
         let next = move || begins.lock().unwrap().recv_timeout(LIMIT);
         assert_eq!(tokio::task::spawn_blocking(next).await.unwrap(), Ok(number));
@@ -581,7 +584,7 @@ async fn question_ends_when_its_asker_has_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn measurement_has_a_bound() {
+async fn measurement_is_limited() {
     let served = served(&[]).await;
     let mut results = ResultsClient::new(served.channel.clone());
     let mut ask = async |viewpoints, resolution| {
@@ -597,11 +600,11 @@ async fn measurement_has_a_bound() {
         let refused = ask(viewpoints, resolution).await;
         assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
         assert!(
-            refused.message().contains("at most 100000000 are measured"),
+            refused.message().contains("but the maximum is 100000000"),
             "{refused}"
         );
     }
-    // A measurement within the bound reaches the job, which does not exist.
+    // A measurement within the limit reaches the job, which does not exist.
     for (viewpoints, resolution) in [(1000, 128), (63, 512), (0, 0)] {
         assert_eq!(ask(viewpoints, resolution).await.code(), Code::NotFound);
     }

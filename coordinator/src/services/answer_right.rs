@@ -1,5 +1,5 @@
-//! An answer that holds a right, such as that to its call, until its last byte is sent: a stream counts as
-//! long as it is open.
+//! Answers that hold a right, such as the right to their call, until the last byte is sent. A stream holds
+//! the right until its end.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -8,13 +8,13 @@ use axum::body::{Body, Bytes};
 use axum::response::Response;
 use http_body::{Body as HttpBody, Frame, SizeHint};
 
-/// The body of an answer, with a right.
+/// The body of an answer that holds a right.
 struct WithRight<T> {
     body: Body,
     _right: T,
 }
 
-/// Returns the answer, which drops the right at its end.
+/// Returns the answer with a body that drops `right` at its end.
 pub(super) fn until_end<T: Send + Unpin + 'static>(answer: Response, right: T) -> Response {
     answer.map(|body| {
         Body::new(WithRight {

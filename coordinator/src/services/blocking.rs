@@ -1,4 +1,4 @@
-//! Runs the coordinator's blocking work off the async threads.
+//! Blocking work of the coordinator, outside the async threads.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,41 +7,42 @@ use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
+use crate::coordinator::Coordinator;
 use crate::dispatch::FollowUps;
 use crate::dispatch::follow_ups::Waiting;
-use crate::quota::{Turn, Turns};
-use crate::state::Coordinator;
+use crate::quota::{FairQueue, QueueTurn};
 
 /// Runs `f`, which may block on the disk, on one of tokio's threads for blocking work.
 ///
 /// # Errors
-/// Those of `f`; UNAVAILABLE when the coordinator is stopping, INTERNAL when `f` panicked.
+/// The errors of `f`; UNAVAILABLE if the coordinator is stopping, INTERNAL if `f` panicked.
 pub(super) async fn blocking<T: Send + 'static>(
     c: &Arc<Coordinator>,
     f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
     let c = Arc::clone(c);
-    // What it logs belongs to the call.
+    // Log lines of `f` belong to the span of the call.
     let span = tracing::Span::current();
     tokio::task::spawn_blocking(move || span.in_scope(|| f(&c)))
         .await
         .map_err(|e| match e.is_cancelled() {
-            true => Status::unavailable("the coordinator is stopping; try again when it is back"),
+            true => Status::unavailable("the coordinator is stopping; try again after its restart"),
             false => status::internal(&format!("a request panicked: {e}")),
         })?
 }
 
-/// As [`blocking`], with one of few permits, which is held until `f` has ended, whether anybody waits for it
-/// or not.
+/// Runs `f` like [`blocking`], while it holds one of `permits`. The permit is released when `f` has ended,
+/// also if the caller no longer waits.
 ///
 /// # Errors
-/// As [`blocking`].
+/// As for [`blocking`].
 pub(super) async fn blocking_one_of<T: Send + 'static>(
     c: &Arc<Coordinator>,
     permits: &Arc<Semaphore>,
     f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
-    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+    let closed =
+        |_| Status::unavailable("the coordinator is stopping; try again after its restart");
     let permit = Arc::clone(permits).acquire_owned().await.map_err(closed)?;
     blocking(c, move |c| {
         let _permit = permit;
@@ -50,7 +51,7 @@ pub(super) async fn blocking_one_of<T: Send + 'static>(
     .await
 }
 
-/// A question whose asker waits. When the call is dropped, the flag is set.
+/// A query whose caller waits. If the call is dropped, the flag is set.
 struct OpenQuestion(Arc<AtomicBool>);
 
 impl Drop for OpenQuestion {
@@ -59,48 +60,52 @@ impl Drop for OpenQuestion {
     }
 }
 
-/// Answers a question in its user's turn, as [`blocking`] does. `answer` looks at its second argument from
-/// time to time and stops when that is true: the asker has gone.
+/// Answers a query like [`blocking`], in its user's turn. `answer` polls its second argument from time to
+/// time, and stops if it returns true because the caller has gone.
 ///
 /// # Errors
-/// As [`blocking`]; RESOURCE_EXHAUSTED when the user has too many questions that wait.
+/// As for [`blocking`]; RESOURCE_EXHAUSTED if the user has too many waiting queries.
 pub(super) async fn in_turn<T: Send + 'static>(
     c: &Arc<Coordinator>,
-    turns: &Turns,
+    turns: &FairQueue,
     user: &str,
     answer: impl FnOnce(&Arc<Coordinator>, &(dyn Fn() -> bool + Sync)) -> Result<T, Status>
     + Send
     + 'static,
 ) -> Result<T, Status> {
     let turn = turns.take(user).await.map_err(|beyond| {
-        c.metrics.refused(beyond.name());
+        c.telemetry.metrics.refused(beyond.name());
         Status::resource_exhausted(beyond.to_string())
     })?;
     let gone = Arc::new(AtomicBool::new(false));
     let _open = OpenQuestion(Arc::clone(&gone));
     blocking(c, move |c| {
-        // The turn ends with the work, also when the caller has gone.
+        // The turn ends with the work, even if the caller has gone.
         let _turn = turn;
         answer(c, &|| gone.load(Ordering::Relaxed))
     })
     .await
 }
 
-/// Waits for the turn of a user to hold a large upload in memory, if it `is` large. The name is empty for
-/// workers.
+/// Waits for the turn of a user to keep a large upload in memory. Returns `None` at once if `is_large` is
+/// false. The user's name is empty for workers.
 ///
 /// # Errors
-/// RESOURCE_EXHAUSTED when too many requests wait.
-pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Option<Turn>, Status> {
-    if !is {
+/// RESOURCE_EXHAUSTED if too many requests wait.
+pub(super) async fn large(
+    c: &Coordinator,
+    user: &str,
+    is_large: bool,
+) -> Result<Option<QueueTurn>, Status> {
+    if !is_large {
         return Ok(None);
     }
-    let turn = c.large.take(user).await;
+    let turn = c.uploads.large.take(user).await;
     turn.map(Some)
         .map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
 }
 
-/// Runs follow-ups on one of tokio's threads for blocking work; the caller does not wait for them.
+/// Runs follow-ups on one of tokio's threads for blocking work, without waiting for them.
 pub(super) fn later(c: &Arc<Coordinator>, follow_ups: FollowUps) {
     if follow_ups.is_empty() {
         return;
@@ -111,10 +116,10 @@ pub(super) fn later(c: &Arc<Coordinator>, follow_ups: FollowUps) {
             let waiting = Waiting::new(follow_ups);
             runtime.spawn_blocking(move || waiting.take().run(&c));
         }
-        // The runtime ends. The next start derives the tasks that did not begin from the store.
+        // The runtime ends. The next start of the coordinator derives these follow-ups from the store.
         Err(_) => {
             tracing::debug!(
-                "the coordinator stops with {} follow-ups open",
+                "the coordinator stops with {} unfinished follow-ups",
                 follow_ups.len()
             );
             follow_ups.discard();

@@ -1,4 +1,4 @@
-//! Access to every call and every path, by every kind of caller, from one table.
+//! Tests of the access of every kind of caller to every call and every path, from one table.
 
 use std::collections::BTreeSet;
 use std::io::{Read as _, Write as _};
@@ -11,7 +11,7 @@ use prost::Message as _;
 use rcgen::{
     CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair,
 };
-use sightline_proto::connecting::Credentials;
+use sightline_proto::connection::Credentials;
 use sightline_proto::v1;
 use sightline_records::JobState;
 use sightline_records::ids::JobId;
@@ -24,12 +24,12 @@ use tower::ServiceExt as _;
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{Tls, TlsFiles, serve, serve_http};
 use crate::access::{Access, Scope, TokenFile};
+use crate::config::Config;
+use crate::coordinator::Coordinator;
 use crate::jobs::submit::{Submission, submit};
-use crate::lifecycle::Config;
-use crate::state::Coordinator;
 use crate::tests::life::{nameless, one_cell, triangle};
 
-/// The kinds of callers. A certificate is a worker's.
+/// The kinds of callers. Only workers have certificates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum By {
     Nobody,
@@ -58,7 +58,7 @@ const ALL: [By; 6] = [
     By::Certificate,
 ];
 
-/// The callers of every call. A call that is not in the table fails the test.
+/// The permitted callers of each call. A call that is missing in the table fails the test.
 const CALLS: [(&str, &[By]); 38] = [
     ("sightline.v1.Jobs/List", READ),
     ("sightline.v1.Jobs/Show", READ),
@@ -102,12 +102,12 @@ const CALLS: [(&str, &[By]); 38] = [
         "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
         &ALL,
     ),
-    // Calls that there are not yet.
+    // Calls that do not exist yet require `Admin`.
     ("sightline.v1.Jobs/NotYet", ADMIN),
     ("sightline.v2.Jobs/List", ADMIN),
 ];
 
-/// The callers of every page. A certificate opens none of them.
+/// The permitted callers of each page. A certificate does not open pages.
 const PAGES: [(&str, &[By]); 12] = [
     ("GET /login", &ALL),
     ("POST /login", &ALL),
@@ -123,7 +123,7 @@ const PAGES: [(&str, &[By]); 12] = [
     ("POST /nothing", ADMIN),
 ];
 
-/// The calls about one job, whose number is their first field.
+/// The calls about one job. The job's number is the first field of their messages.
 const ABOUT_A_JOB: [&str; 15] = [
     "Jobs/Show",
     "Jobs/Watch",
@@ -142,7 +142,7 @@ const ABOUT_A_JOB: [&str; 15] = [
     "Farm/Events",
 ];
 
-/// A coordinator that asks callers who they are, until the end of the test.
+/// A coordinator that authenticates its callers, until the end of the test.
 struct Farm {
     c: Arc<Coordinator>,
     url: String,
@@ -160,7 +160,7 @@ impl Drop for Farm {
     }
 }
 
-/// Writes a certificate with its key that an authority has signed; gives both.
+/// Creates a certificate that an authority signs. Returns the certificate and its key.
 fn certificate(
     folder: &Path,
     name: &str,
@@ -276,7 +276,7 @@ impl Farm {
     }
 }
 
-/// Makes a call about a job; gives the status of an answer that has nothing else.
+/// Calls a method about a job. Returns the status of the answer, without its messages.
 async fn call(channel: &Channel, path: &str, token: Option<&str>, job: u64) -> Option<Status> {
     let message = v1::ShowRequest { job }.encode_to_vec();
     let frame = [&[0], &(message.len() as u32).to_be_bytes()[..], &message].concat();
@@ -297,7 +297,7 @@ fn is_denied(status: Option<&Status>) -> bool {
     status.is_some_and(|s| matches!(s.code(), Code::PermissionDenied | Code::Unauthenticated))
 }
 
-/// Makes a request over HTTP; gives its status.
+/// Sends a request over HTTP. Returns the status of the answer.
 fn ask(pages: SocketAddr, line: &str, token: Option<&str>) -> u16 {
     let mut stream = TcpStream::connect(pages).unwrap();
     stream
@@ -338,7 +338,7 @@ fn all_calls() -> BTreeSet<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn calls_admit_callers_of_table_only() {
+async fn calls_admit_only_callers_of_table() {
     let farm = Farm::start().await;
     let listed: BTreeSet<String> = CALLS.iter().map(|(path, _)| (*path).to_owned()).collect();
     let unlisted: Vec<_> = all_calls().difference(&listed).cloned().collect();
@@ -368,7 +368,7 @@ async fn calls_admit_callers_of_table_only() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pages_admit_callers_of_table_only() {
+async fn pages_admit_only_callers_of_table() {
     let farm = Farm::start().await;
     let mut rows: Vec<(String, &[By])> = PAGES
         .iter()
@@ -385,7 +385,7 @@ async fn pages_admit_callers_of_table_only() {
     let asked = tokio::task::spawn_blocking(move || {
         for (line, open_to) in rows {
             for (by, token) in &tokens {
-                // The pages ask for no certificate, so its bearer is unknown.
+                // Pages do not request certificates, so a caller with a certificate is unknown.
                 let seen = if *by == By::Certificate {
                     By::Nobody
                 } else {
@@ -428,16 +428,16 @@ async fn job_of_another_user_does_not_exist() {
         let strange = call_as("bob", job).await.unwrap();
         let missing = call_as("bob", 77).await.unwrap();
         assert_eq!(strange.code(), Code::NotFound, "{method}: {strange}");
-        // The answer is that about a job that there is not.
+        // The answer equals the answer for a job that does not exist.
         assert_eq!(
             strange.message(),
             missing.message().replace("77", &job.to_string()),
             "{method}"
         );
     }
-    let state = farm.c.store.job(JobId(job)).unwrap().unwrap().state;
+    let state = farm.c.records.job(JobId(job)).unwrap().unwrap().state;
     assert_eq!(state, JobState::Queued);
-    // Its owner and an admin find it, by a call that does not change the job.
+    // The job's owner and an admin can read the job, with a call that does not change it.
     for (user, finds) in [
         ("ada", true),
         ("root", true),

@@ -1,60 +1,63 @@
-//! The streams of crews: the leader's and the helpers'.
+//! The streams between the coordinator and the members of crews: leaders and helpers.
 
 use std::io::Read;
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt as _;
+use sightline_numbers::ids::PhaseIndex;
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_records::TileState;
 use sightline_records::ids::Lease;
-use sightline_store::MAX_OUTCOME_BYTES;
+use sightline_store::{MAX_OUTCOME_BYTES, OutcomeHeader};
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 use super::blocking::{blocking, later};
 use super::status;
+use crate::coordinator::Coordinator;
 use crate::quota::Sender;
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 use crate::uploads::spool::Spool;
 use crate::workers::crews::{Assignment, CrewChannel, LeaderMessage};
 use crate::workers::sessions;
 
-/// Most items in a message: more than a phase has.
+/// Maximum number of items in a message, which exceeds the items of any phase.
 const MAX_ITEMS: usize = 1 << 20;
 
 type CrewAnswers = mpsc::Sender<Result<v1::CrewMessage, Status>>;
 
-/// Sends a message; fails when the member has gone.
-async fn say(out: &CrewAnswers, message: Message) -> Result<(), Gone> {
-    out.send(Ok(v1::CrewMessage {
-        message: Some(message),
-    }))
-    .await
-    .map_err(|_| Gone)
+/// Sends a message to a member. Fails if the member has disconnected.
+async fn say(answers: &CrewAnswers, message: Message) -> Result<(), Disconnected> {
+    answers
+        .send(Ok(v1::CrewMessage {
+            message: Some(message),
+        }))
+        .await
+        .map_err(|_| Disconnected)
 }
 
-/// A member reads no more.
-struct Gone;
+/// The error of a member that has disconnected, or that waits for an outcome that does not exist.
+struct Disconnected;
 
-/// Sends an outcome in pieces. Ends quietly when it is not there any more: the tile is done then.
+/// Sends an outcome in chunks. Fails if the member has disconnected, or if the outcome no longer exists
+/// because the tile is done.
 async fn say_outcome(
     c: &Arc<Coordinator>,
-    room: &CrewChannel,
-    phase: u32,
-    out: &CrewAnswers,
-) -> Result<(), Gone> {
-    let tile = room.tile();
-    let opened = blocking(c, move |c| Ok(c.crews.outcomes.open(tile, phase))).await;
+    channel: &CrewChannel,
+    phase: PhaseIndex,
+    answers: &CrewAnswers,
+) -> Result<(), Disconnected> {
+    let tile = channel.tile();
+    let opened = blocking(c, move |c| Ok(c.workers.crews.outcomes.open(tile, phase))).await;
     let Ok(Some((total, mut from))) = opened else {
-        return Err(Gone);
+        return Err(Disconnected);
     };
     let mut offset = 0;
     loop {
-        // One chunk is in memory at a time, whatever the length of the outcome.
+        // One chunk is in memory at a time, regardless of the length of the outcome.
         let (data, rest) = blocking(c, move |_| {
             let mut data = Vec::new();
             let read = from
@@ -65,18 +68,18 @@ async fn say_outcome(
             Ok((data, from))
         })
         .await
-        .map_err(|_| Gone)?;
+        .map_err(|_| Disconnected)?;
         from = rest;
         let end = offset + data.len() as u64;
         let is_cut = data.is_empty() && end < total;
         let chunk = Some(chunks::chunk(data, offset, total));
         if is_cut {
-            return Err(Gone);
+            return Err(Disconnected);
         }
         say(
-            out,
+            answers,
             Message::Outcome(v1::CrewOutcome {
-                phase,
+                phase: phase.0,
                 chunk,
                 micros: 0,
             }),
@@ -89,56 +92,57 @@ async fn say_outcome(
     }
 }
 
-/// The leader's stream, until it ends. It is sent the outcomes that are there from phase `from` on.
+/// Serves the leader's stream until it ends. The leader receives the stored outcomes, starting at the phase
+/// `from`.
 pub(super) async fn lead(
     c: Arc<Coordinator>,
-    room: Arc<CrewChannel>,
-    told: mpsc::Receiver<LeaderMessage>,
+    channel: Arc<CrewChannel>,
+    messages: mpsc::Receiver<LeaderMessage>,
     from: u32,
     inbound: Streaming<v1::CrewMessage>,
-    out: CrewAnswers,
+    answers: CrewAnswers,
 ) {
     let telling = tokio::spawn(tell(
         Arc::clone(&c),
-        Arc::clone(&room),
-        told,
+        Arc::clone(&channel),
+        messages,
         from,
-        out.clone(),
+        answers.clone(),
     ));
-    let heard = hear_leader(&c, &room, inbound).await;
-    later(&c, sessions::crew_ended(&c, &room));
+    let heard = hear_leader(&c, &channel, inbound).await;
+    later(&c, sessions::crew_ended(&c, &channel));
     if let Err(s) = heard {
         tracing::warn!(
             "the crew of tile {} of job {} ends: {}",
-            room.lease.tile,
-            room.lease.job,
+            channel.lease.tile,
+            channel.lease.job,
             s.message()
         );
-        // The leader may have gone already.
-        let _ = out.try_send(Err(s));
+        // The leader may have disconnected already.
+        let _ = answers.try_send(Err(s));
     }
     telling.abort();
 }
 
-/// Sends the leader the outcomes of earlier leaders, and then what it is told.
+/// Sends the leader the stored outcomes of earlier leaders, and then the messages of its helpers.
 async fn tell(
     c: Arc<Coordinator>,
-    room: Arc<CrewChannel>,
-    mut told: mpsc::Receiver<LeaderMessage>,
+    channel: Arc<CrewChannel>,
+    mut messages: mpsc::Receiver<LeaderMessage>,
     from: u32,
-    out: CrewAnswers,
+    answers: CrewAnswers,
 ) {
-    let mut kept = room.outcomes.subscribe();
+    let mut kept = channel.outcomes.subscribe();
     let count = *kept.borrow_and_update();
-    for phase in from..count {
-        if say_outcome(&c, &room, phase, &out).await.is_err() {
+    for phase in (from..count).map(PhaseIndex) {
+        if say_outcome(&c, &channel, phase, &answers).await.is_err() {
             break;
         }
     }
-    let mut next = say(&out, Message::Ready(v1::CrewReady { phases: count })).await;
+    let mut next = say(&answers, Message::Ready(v1::CrewReady { phases: count })).await;
     while next.is_ok() {
         let message = tokio::select! {
-            message = told.recv() => match message {
+            message = messages.recv() => match message {
                 Some(message) => message,
                 None => return,
             },
@@ -151,7 +155,10 @@ async fn tell(
             LeaderMessage::Joined(member) => Message::Joined(v1::CrewJoined { member }),
             LeaderMessage::Left(member) => Message::Left(v1::CrewLeft { member }),
             LeaderMessage::Kept(phases) => Message::Kept(v1::CrewKept { phases }),
-            LeaderMessage::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
+            LeaderMessage::Ask { member, phase } => Message::Ask(v1::CrewAsk {
+                member,
+                phase: phase.0,
+            }),
             LeaderMessage::Found {
                 member,
                 phase,
@@ -159,27 +166,27 @@ async fn tell(
                 chunk,
             } => Message::Found(v1::CrewFound {
                 member,
-                phase,
+                phase: phase.0,
                 items,
                 chunk,
             }),
         };
-        next = say(&out, message).await;
+        next = say(&answers, message).await;
     }
 }
 
-/// Acts on what the leader says, until it ends the crew or its stream.
+/// Handles the leader's messages until it ends the crew or its stream.
 async fn hear_leader(
     c: &Arc<Coordinator>,
-    room: &Arc<CrewChannel>,
+    channel: &Arc<CrewChannel>,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
     let mut outcome = None;
-    let mut over = room.is_over.subscribe();
+    let mut over = channel.is_over.subscribe();
     loop {
         let message = tokio::select! {
             message = inbound.next() => message,
-            // Another leader has come.
+            // Another worker now leads the crew.
             () = over.wait_for_true() => return Ok(()),
         };
         let Some(message) = message else {
@@ -189,102 +196,114 @@ async fn hear_leader(
             Some(Message::Take(take)) => {
                 if take.items.len() > MAX_ITEMS {
                     return Err(Status::invalid_argument(
-                        "a piece has more items than a phase can have",
+                        "the items for a helper are more than a phase can have",
                     ));
                 }
-                room.pass(
+                channel.pass(
                     take.member,
                     Assignment {
-                        phase: take.phase,
+                        phase: PhaseIndex(take.phase),
                         items: take.items,
                     },
                 );
             }
             Some(Message::Outcome(mut piece)) => {
                 let chunk = piece.chunk.take().unwrap_or_default();
-                let arrived = arrived(c, room.lease, outcome.take(), chunk).await?;
+                let arrived = arrived(c, channel.lease, outcome.take(), chunk).await?;
                 let Some(spool) = arrived else {
-                    // The tile is done, or another worker's; its crew has no more use.
+                    // The tile is done, or another worker leases it, so its crew does not need the outcome.
                     tracing::debug!(
-                        "an outcome of tile {} came after its lease",
-                        room.lease.tile
+                        "an outcome of tile {} arrived after the end of its lease",
+                        channel.lease.tile
                     );
                     return Ok(());
                 };
                 if spool.is_complete() {
-                    keep(c, room, spool, &piece).await?;
+                    keep(c, channel, spool, &piece).await?;
                 } else {
                     outcome = Some(spool);
                 }
             }
-            Some(Message::Dismiss(dismiss)) => room.leave(dismiss.member),
+            Some(Message::Dismiss(dismiss)) => channel.leave(dismiss.member),
             Some(Message::End(_)) => return Ok(()),
             _ => {
                 return Err(Status::invalid_argument(
-                    "a leader sends items, outcomes, dismissals and the end",
+                    "a leader may send only items, outcomes, dismissals and the end",
                 ));
             }
         }
     }
 }
 
-/// Stores an outcome that has arrived.
+/// Stores an outcome that has arrived completely.
 async fn keep(
     c: &Arc<Coordinator>,
-    room: &Arc<CrewChannel>,
+    channel: &Arc<CrewChannel>,
     mut spool: Spool,
     piece: &v1::CrewOutcome,
 ) -> Result<(), Status> {
-    let (tile, phase, lease) = (room.tile(), piece.phase, room.lease);
-    let profile = {
-        let scheduling = c.lock();
-        let job = scheduling
-            .scheduler
+    let (tile, phase, lease) = (channel.tile(), PhaseIndex(piece.phase), channel.lease);
+    let profile = c.dispatcher.read(|scheduler| {
+        let job = scheduler
             .job(lease.job)
-            .filter(|_| scheduling.scheduler.is_leased(&lease));
+            .filter(|_| scheduler.is_leased(&lease));
         job.map(|job| job.record.profile.clone().unwrap_or_default())
-    };
+    });
     let Some(profile) = profile else {
-        // The tile is done, or another worker's; the next message of its leader finds no lease.
-        tracing::debug!("an outcome of tile {} came after its lease", lease.tile);
+        // The tile is done, or another worker leases it. The next message of this leader is rejected without
+        // a lease.
+        tracing::debug!(
+            "an outcome of tile {} arrived after the end of its lease",
+            lease.tile
+        );
         return Ok(());
     };
     let kept = blocking(c, move |c| {
         let digest = spool.digest().map_err(|e| status::of_spool(&e))?;
-        let length_and_hash = (spool.announced(), blake3::Hash::from_bytes(digest));
-        let push = |from: &mut dyn Read| {
-            c.crews
-                .outcomes
-                .push_from(tile, phase, length_and_hash, from)
+        let header = OutcomeHeader {
+            length: spool.announced(),
+            hash: blake3::Hash::from_bytes(digest),
         };
-        if spool.read(c, push).map_err(|e| status::of_blob(&e))? {
+        let push = |from: &mut dyn Read| {
+            c.workers
+                .crews
+                .outcomes
+                .push_from(tile, phase, header, from)
+        };
+        if spool
+            .read(&*c.blobs, push)
+            .map_err(|e| status::of_blob(&e))?
+        {
             return Ok(true);
         }
-        // The commit of a tile removes its outcomes while a late one may be under way.
+        // The commit of a tile removes its outcomes, but a late outcome may arrive at the same time.
         let tile = c
-            .store
+            .records
             .tile(lease.job, lease.tile)
             .map_err(|e| status::of_store(&e))?;
         match tile.state {
-            TileState::Open => Err(Status::resource_exhausted("an outcome could not be kept")),
+            TileState::Open => Err(Status::resource_exhausted(
+                "the outcome of a phase could not be stored; see the log of the coordinator",
+            )),
             TileState::Done { .. } | TileState::SetAside { .. } => Ok(false),
         }
     });
-    // Helpers wait for every outcome, so the crew ends without one that failed.
+    // Helpers wait for every outcome, so a failed outcome ends the crew.
     if !kept.await? {
-        tracing::debug!("an outcome of tile {} came after its output", lease.tile);
+        tracing::debug!("an outcome of tile {} arrived after its output", lease.tile);
         return Ok(());
     }
-    c.metrics
+    c.telemetry
+        .metrics
         .phase_done(&profile, Duration::from_micros(piece.micros));
-    room.outcomes.send_replace(phase + 1);
+    channel.outcomes.send_replace(phase.0 + 1);
     let text = format!("tile {}: phase {phase} is finished", lease.tile);
-    c.happened(LogEvent::of_lease(Kind::Round, &lease, text));
+    c.record_event(LogEvent::of_lease(EventKind::Round, &lease, text));
     Ok(())
 }
 
-/// Adds a chunk to an outcome that arrives. The lease and the length are checked before the first byte is
-/// kept; `None` when the lease has ended.
+/// Adds a chunk to an arriving outcome. Checks the lease and the length before the first byte is stored.
+/// Returns `None` if the lease has ended.
 async fn arrived(
     c: &Arc<Coordinator>,
     lease: Lease,
@@ -294,115 +313,129 @@ async fn arrived(
     blocking(c, move |c| {
         let mut spool = match outcome {
             Some(spool) => spool,
-            None if !c.lock().scheduler.is_leased(&lease) => return Ok(None),
+            None if !c.dispatcher.read(|scheduler| scheduler.is_leased(&lease)) => return Ok(None),
             None if chunk.total > MAX_OUTCOME_BYTES => {
                 let announced = chunk.total;
                 return Err(Status::invalid_argument(format!(
-                    "an outcome of {announced} bytes was announced; a phase has at most {MAX_OUTCOME_BYTES}"
+                    "the announced outcome has {announced} bytes, but the maximum of a phase is \
+                     {MAX_OUTCOME_BYTES}"
                 )));
             }
-            None => Spool::begin(c, Sender::Worker, chunk.total).map_err(|e| status::of_spool(&e))?,
+            None => {
+                let (uploads, metrics) = (&c.uploads, &c.telemetry.metrics);
+                Spool::begin(uploads, metrics, Sender::Worker, chunk.total)
+                    .map_err(|e| status::of_spool(&e))?
+            }
         };
-        spool.push(c, &chunk).map_err(|e| status::of_spool(&e))?;
+        spool
+            .push(&*c.blobs, &chunk)
+            .map_err(|e| status::of_spool(&e))?;
         Ok(Some(spool))
     })
     .await
 }
 
-/// A helper's stream, until it ends or the crew does.
+/// Serves a helper's stream until the stream or the crew ends.
 pub(super) async fn help(
     c: Arc<Coordinator>,
-    room: Arc<CrewChannel>,
+    channel: Arc<CrewChannel>,
     inbound: Streaming<v1::CrewMessage>,
-    out: CrewAnswers,
+    answers: CrewAnswers,
 ) {
-    let (member, takes) = room.enter();
+    let (member, assignments) = channel.enter();
     let mut telling = tokio::spawn(tell_helper(
         Arc::clone(&c),
-        Arc::clone(&room),
-        takes,
-        out.clone(),
+        Arc::clone(&channel),
+        assignments,
+        answers.clone(),
     ));
-    if room
+    if channel
         .to_leader
         .send(LeaderMessage::Joined(member))
         .await
         .is_err()
     {
-        // The leader has gone.
+        // The leader has disconnected.
         telling.abort();
         return;
     }
     let heard = tokio::select! {
-        heard = hear_helper(&room, member, inbound) => heard,
-        // The crew has ended, or the helper reads no more.
+        heard = hear_helper(&channel, member, inbound) => heard,
+        // The crew has ended, or the helper no longer reads.
         _ = &mut telling => Ok(()),
     };
     if let Err(s) = heard {
         tracing::warn!(
-            "a helper of tile {} of job {} goes: {}",
-            room.lease.tile,
-            room.lease.job,
+            "a helper of tile {} of job {} leaves: {}",
+            channel.lease.tile,
+            channel.lease.job,
             s.message()
         );
-        // The helper may have gone already.
-        let _ = out.send(Err(s)).await;
+        // The helper may have disconnected already.
+        let _ = answers.send(Err(s)).await;
     }
-    room.leave(member);
+    channel.leave(member);
     telling.abort();
-    // Fails when the leader has gone, too.
-    let _ = room.to_leader.send(LeaderMessage::Left(member)).await;
+    // The leader may have disconnected, too.
+    let _ = channel.to_leader.send(LeaderMessage::Left(member)).await;
 }
 
-/// Sends a helper the outcomes of all phases, the items for it, and the end.
+/// Sends a helper the outcomes of all phases, its items, and the end of the crew.
 async fn tell_helper(
     c: Arc<Coordinator>,
-    room: Arc<CrewChannel>,
-    mut takes: mpsc::Receiver<Assignment>,
-    out: CrewAnswers,
+    channel: Arc<CrewChannel>,
+    mut assignments: mpsc::Receiver<Assignment>,
+    answers: CrewAnswers,
 ) {
-    let (mut outcomes, mut over) = (room.outcomes.subscribe(), room.is_over.subscribe());
+    let (mut outcomes, mut over) = (channel.outcomes.subscribe(), channel.is_over.subscribe());
     let mut sent = 0;
     loop {
         let there = *outcomes.borrow_and_update();
         while sent < there {
-            if say_outcome(&c, &room, sent, &out).await.is_err() {
+            if say_outcome(&c, &channel, PhaseIndex(sent), &answers)
+                .await
+                .is_err()
+            {
                 return;
             }
             sent += 1;
         }
         let message = tokio::select! {
             () = over.wait_for_true() => {
-                // Nobody is left to be told when this fails.
-                let _ = say(&out, Message::End(v1::CrewEnd {})).await;
+                // If this fails, no member is left to notify.
+                let _ = say(&answers, Message::End(v1::CrewEnd {})).await;
                 return;
             }
             changed = outcomes.changed() => match changed {
                 Ok(()) => continue,
                 Err(_) => return,
             },
-            take = takes.recv() => match take {
-                Some(Assignment { phase, items }) => Message::Take(v1::CrewTake { member: 0, phase, items }),
+            assignment = assignments.recv() => match assignment {
+                Some(Assignment { phase, items }) => Message::Take(v1::CrewTake {
+                    member: 0,
+                    phase: phase.0,
+                    items,
+                }),
                 None => return,
             },
         };
-        if say(&out, message).await.is_err() {
+        if say(&answers, message).await.is_err() {
             return;
         }
     }
 }
 
-/// Passes what a helper says to the leader, which sets the pace.
+/// Forwards a helper's messages to the leader. Waits until the leader accepts each message.
 async fn hear_helper(
-    room: &CrewChannel,
+    channel: &CrewChannel,
     member: u64,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
     while let Some(message) = inbound.next().await {
-        let told = match message?.message {
+        let forwarded = match message?.message {
             Some(Message::Ask(ask)) => LeaderMessage::Ask {
                 member,
-                phase: ask.phase,
+                phase: PhaseIndex(ask.phase),
             },
             Some(Message::Found(v1::CrewFound {
                 phase,
@@ -412,37 +445,37 @@ async fn hear_helper(
             })) => {
                 if items.len() > MAX_ITEMS {
                     return Err(Status::invalid_argument(
-                        "finds have more items than a phase can have",
+                        "the results of a helper have more items than a phase can have",
                     ));
                 }
                 LeaderMessage::Found {
                     member,
-                    phase,
+                    phase: PhaseIndex(phase),
                     items,
                     chunk,
                 }
             }
             _ => {
                 return Err(Status::invalid_argument(
-                    "a helper sends questions and finds",
+                    "a helper may send only requests and results of items",
                 ));
             }
         };
-        if room.to_leader.send(told).await.is_err() {
+        if channel.to_leader.send(forwarded).await.is_err() {
             return Ok(());
         }
     }
     Ok(())
 }
 
-/// Waits until a flag is set.
+/// A receiver of a flag that can wait until the flag is true.
 trait WaitForTrue {
     async fn wait_for_true(&mut self);
 }
 
 impl WaitForTrue for tokio::sync::watch::Receiver<bool> {
     async fn wait_for_true(&mut self) {
-        // The sender lives as long as the crew's room; when it is gone, the crew is over as well.
+        // The sender exists as long as the crew's channel. After it is dropped, the crew is over, too.
         let _ = self.wait_for(|over| *over).await;
     }
 }

@@ -1,4 +1,4 @@
-//! The `Farm` service: workers, tiles and events, for people.
+//! The `Farm` service: workers, tiles and events, for display.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -13,23 +13,23 @@ use sightline_store::TileFilter;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 
+use super::authorize::{caller, own_job};
 use super::blocking::blocking;
-use super::guard::{caller, own_job};
 use super::{Answer, status, wire};
+use crate::coordinator::Coordinator;
 use crate::jobs::invalidate;
 use crate::jobs::tiles;
 use crate::records::JobChanges;
-use crate::state::Coordinator;
 use crate::workers::quarantine;
 
-/// Most tiles of an answer.
+/// Maximum number of tiles in an answer.
 const MOST_TILES: u32 = 10_000;
-/// Most bytes of the tiles of an answer, for messages of at most 4 MiB.
+/// Maximum size of the tiles in an answer, in bytes, for messages of at most 4 MiB.
 const MOST_BYTES: usize = 3 << 20;
-/// Events that are read at a time.
+/// The number of events that are read at a time.
 const EVENTS_AT_ONCE: usize = 256;
 
-/// How long a client may leave an event unread.
+/// Maximum time for which a client may leave an event unread.
 const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::farm_server::Farm`].
@@ -41,11 +41,11 @@ impl v1::farm_server::Farm for FarmService {
         &self,
         _: Request<v1::ListWorkersRequest>,
     ) -> Answer<v1::ListWorkersResponse> {
-        let now = self.0.now_plain();
-        let roster = self.0.lock().scheduler.roster(now);
+        let now = self.0.scheduler_now();
+        let roster = self.0.dispatcher.read(|scheduler| scheduler.roster(now));
         let workers = roster.into_iter().map(wire::member).collect();
         let quarantined = blocking(&self.0, |c| {
-            c.store.quarantined().map_err(|e| status::of_store(&e))
+            c.records.quarantined().map_err(|e| status::of_store(&e))
         })
         .await?;
         let quarantined = quarantined.into_iter().map(wire::quarantined).collect();
@@ -64,16 +64,16 @@ impl v1::farm_server::Farm for FarmService {
             limit @ 1..=MOST_TILES => limit,
             more => {
                 return Err(Status::invalid_argument(format!(
-                    "{more} tiles were asked for; ask for at most {MOST_TILES} at once"
+                    "{more} tiles were requested; request at most {MOST_TILES} at once"
                 )));
             }
         };
-        let wanted = r
+        let states = r
             .states()
-            .map(wire::standing)
+            .map(wire::tile_status)
             .collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
-            let page = tiles::list(c, job, TileIndex(r.first), most as usize, &wanted);
+            let page = tiles::list(c, job, TileIndex(r.first), most as usize, &states);
             let page = page.map_err(|e| status::of_store(&e))?;
             let mut answer = v1::ListTilesResponse {
                 tiles: Vec::new(),
@@ -106,14 +106,16 @@ impl v1::farm_server::Farm for FarmService {
             to_ms,
         } = r.into_inner();
         if job.is_none() && worker.is_empty() {
-            return Err(Status::invalid_argument("name a job, or a worker, or both"));
+            return Err(Status::invalid_argument(
+                "the request names neither a job nor a worker; name one or both",
+            ));
         }
         if job.is_none() && !tiles.is_empty() {
             return Err(Status::invalid_argument(
-                "tiles are numbered within a job; name the job, too",
+                "tiles are numbered within a job; name the job as well",
             ));
         }
-        let which = TileFilter {
+        let filter = TileFilter {
             job: job.map(JobId),
             tiles: tiles.into_iter().map(TileIndex).collect(),
             worker: Some(worker).filter(|worker| !worker.is_empty()),
@@ -122,7 +124,7 @@ impl v1::farm_server::Farm for FarmService {
         };
         blocking(&self.0, move |c| {
             let mut changes = JobChanges::begin(c);
-            let opened = invalidate::invalidate(&mut changes, &which);
+            let opened = invalidate::invalidate(&mut changes, &filter);
             changes.finish().run(c);
             let opened = opened.map_err(|e| status::of_store(&e))?;
             let jobs = opened
@@ -162,7 +164,7 @@ impl v1::farm_server::Farm for FarmService {
         let job = job.map(JobId);
         if let Some(job) = job {
             let known = blocking(&self.0, move |c| {
-                c.store.job(job).map_err(|e| status::of_store(&e))
+                c.records.job(job).map_err(|e| status::of_store(&e))
             })
             .await?;
             if known.is_none() {
@@ -177,7 +179,7 @@ impl v1::farm_server::Farm for FarmService {
     }
 }
 
-/// Sends the events of a job or of all, and further ones if they are followed.
+/// Sends the events of one job or of all jobs, and also later events if `follow` is true.
 async fn tell(
     c: Arc<Coordinator>,
     job: Option<JobId>,
@@ -185,15 +187,15 @@ async fn tell(
     follow: bool,
     out: mpsc::Sender<Result<v1::Event, Status>>,
 ) {
-    let mut grown = c.event_log.grown();
+    let mut grown = c.telemetry.event_log.grown();
     loop {
         grown.mark_unchanged();
-        let (events, upto) = c.event_log.after(job, after, EVENTS_AT_ONCE);
+        let (events, upto) = c.telemetry.event_log.after(job, after, EVENTS_AT_ONCE);
         let is_end = events.len() < EVENTS_AT_ONCE;
         for event in events {
             let sent =
                 tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::event(&event)))).await;
-            // The client has gone, or does not read.
+            // The client has disconnected, or does not read.
             if !matches!(sent, Ok(Ok(()))) {
                 return;
             }
@@ -205,7 +207,7 @@ async fn tell(
             }
             tokio::select! {
                 changed = grown.changed() => if changed.is_err() { return },
-                // The client has gone.
+                // The client has disconnected.
                 () = out.closed() => return,
             }
         }

@@ -1,4 +1,4 @@
-//! What the addresses of a replica are answered with: by the coordinator that leads, here or elsewhere.
+//! The front of a replica: forwards calls to the leading coordinator, in this process or elsewhere.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::http::{StatusCode, header};
 use futures::future::BoxFuture;
-use sightline_proto::connecting::Credentials;
+use sightline_proto::connection::Credentials;
 use sightline_store::{PostgresStore, Replica, Role, StoreError};
 use tokio::sync::watch;
 use tonic::codegen::http::{Request, Response};
@@ -16,75 +16,76 @@ use tonic::{Code, Status};
 use tower::{Service, ServiceExt as _};
 
 use super::connections::{Listener, Peer, Protocol, ServeError};
-use super::forwarding::Forwarder;
+use super::forwarder::Forwarder;
 use super::http::serve_http;
 use super::metrics::Probed;
-use super::server::{self, Guarding, Services};
+use super::server::{self, AuthorizedServices, Services};
 use super::tls::Tls;
 use crate::access::{Need, Scope, needed};
-use crate::lifecycle::OpenError;
-use crate::state::Coordinator;
-use crate::telemetry::metrics::standing_by;
+use crate::coordinator::Coordinator;
+use crate::startup::OpenError;
+use crate::telemetry::metrics::standby_metrics;
 
-/// How long a call waits for somebody to lead. A take-over takes less.
+/// Maximum time that a call waits for a leader. A takeover is faster.
 const PATIENCE: Duration = Duration::from_secs(8);
 
-/// A replica that ends.
+/// The reason why a replica ends.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplicaError {
-    /// Another one leads, or may lead.
+    /// Another replica leads, or may lead.
     #[error(transparent)]
     Ended(StoreError),
-    /// It was to lead and could not begin.
-    #[error("this coordinator was to lead and cannot: {0}")]
+    /// The replica became the leader, but could not open the coordinator.
+    #[error("this coordinator could not become the leader: {0}")]
     Open(#[from] OpenError),
-    /// Its server failed.
+    /// The server of the coordinator failed.
     #[error(transparent)]
     Serve(#[from] ServeError),
 }
 
-/// A replica's place on the network.
+/// The network front of a replica.
 #[derive(Clone)]
 pub struct Front(Arc<Inside>);
 
 struct Inside {
-    /// What other coordinators are called with.
+    /// The credentials for calls to other coordinators.
     credentials: Credentials,
-    /// Whether workers may be known by their certificates, which cannot be passed on.
+    /// True if certificates may identify workers. A forwarded call cannot carry a certificate.
     certified: bool,
     services: Services,
-    now: watch::Sender<Now>,
+    leadership: watch::Sender<Leadership>,
 }
 
-/// Who answers.
+/// The leading coordinator, which answers calls.
 #[derive(Clone)]
-enum Now {
-    /// Nobody is known to lead.
-    Nobody,
-    /// The leader is called.
-    Elsewhere(Arc<Forwarder>, String),
+enum Leadership {
+    /// No known coordinator leads.
+    Unknown,
+    /// The coordinator at this address leads, and calls are forwarded to it.
+    Remote(Arc<Forwarder>, String),
     /// This coordinator leads.
-    Here(Guarding, Arc<Coordinator>),
+    Local(AuthorizedServices, Arc<Coordinator>),
 }
 
 impl Front {
-    /// A place where nobody leads yet. Other coordinators are called with `credentials`; `certified` says
-    /// whether workers may be known by their certificates.
+    /// Creates a front without a leader. Calls to other coordinators use `credentials`. `certified` states
+    /// that certificates may identify workers.
     pub fn new(credentials: Credentials, certified: bool) -> Self {
         let services = Services::new();
         Self(Arc::new(Inside {
             credentials,
             certified,
             services,
-            now: watch::Sender::new(Now::Nobody),
+            leadership: watch::Sender::new(Leadership::Unknown),
         }))
     }
 
-    /// Follows what becomes of a replica. When it is to lead, `open` makes the coordinator on its store; that
-    /// may block.
+    /// Follows the role of a replica. When it becomes the leader, calls `open`, which may block, to create
+    /// the coordinator on its store.
     ///
     /// # Errors
-    /// Always, when it neither leads nor stands by any more.
+    /// [`ReplicaError`] after the replica neither leads nor stands by any longer. The function does not
+    /// return before.
     pub async fn follow(
         &self,
         replica: &Replica,
@@ -93,10 +94,10 @@ impl Front {
         let mut open = Some(open);
         let mut role = replica.role();
         loop {
-            let now = role.borrow_and_update().clone();
-            match now {
+            let current = role.borrow_and_update().clone();
+            match current {
                 Role::Ended(why) => return Err(ReplicaError::Ended(why)),
-                Role::StandsBy(None) => self.answer_with(Now::Nobody),
+                Role::StandsBy(None) => self.answer_with(Leadership::Unknown),
                 Role::StandsBy(Some(leader)) => {
                     tracing::info!(
                         "{} at {} leads, epoch {}",
@@ -105,30 +106,35 @@ impl Front {
                         leader.epoch
                     );
                     match Forwarder::to(&leader.address, &self.0.credentials) {
-                        Ok(to) => self.answer_with(Now::Elsewhere(Arc::new(to), leader.address)),
+                        Ok(to) => {
+                            self.answer_with(Leadership::Remote(Arc::new(to), leader.address))
+                        }
                         Err(e) => {
                             tracing::error!(
                                 "the leader at {} cannot be called: {e}",
                                 leader.address
                             );
-                            self.answer_with(Now::Nobody);
+                            self.answer_with(Leadership::Unknown);
                         }
                     }
                 }
                 Role::Leads(epoch) => {
                     if let Some(open) = open.take() {
-                        // Until it can answer, calls wait.
-                        self.answer_with(Now::Nobody);
+                        // Calls wait until the new coordinator can answer.
+                        self.answer_with(Leadership::Unknown);
                         tracing::info!("this coordinator leads, epoch {epoch}");
                         let store = replica.store(epoch).map_err(OpenError::Store)?;
                         let opened = tokio::task::spawn_blocking(move || open(store)).await;
-                        let coordinator = opened
-                            .map_err(|e| ServeError::Broken(format!("it panicked: {e}")))??;
+                        let coordinator = opened.map_err(|e| {
+                            ServeError::Broken(format!(
+                                "the start of the coordinator panicked: {e}"
+                            ))
+                        })??;
                         let routes = self.0.services.routes(&coordinator).await?;
                         server::tick(&coordinator);
                         self.0.services.report_readiness(&coordinator);
-                        let guarded = Guarding::new(&coordinator, routes);
-                        self.answer_with(Now::Here(guarded, coordinator));
+                        let guarded = AuthorizedServices::new(&coordinator, routes);
+                        self.answer_with(Leadership::Local(guarded, coordinator));
                     }
                 }
             }
@@ -138,38 +144,39 @@ impl Front {
         }
     }
 
-    /// Keeps what is in memory alone and may be kept. To be called at the end.
+    /// Writes buffered events to the disk. To be called at the end of the process.
     pub fn close(&self) {
-        if let Now::Here(_, coordinator) = &*self.0.now.borrow() {
-            coordinator.event_log.write();
+        if let Leadership::Local(_, coordinator) = &*self.0.leadership.borrow() {
+            coordinator.telemetry.event_log.write();
         }
     }
 
-    fn answer_with(&self, now: Now) {
-        if let Now::Elsewhere(before, _) = self.0.now.send_replace(now) {
+    fn answer_with(&self, leadership: Leadership) {
+        if let Leadership::Remote(before, _) = self.0.leadership.send_replace(leadership) {
             before.end();
         }
     }
 
-    /// Answers calls until this is dropped.
+    /// Answers calls until the future is dropped.
     pub async fn serve(&self, listener: Listener, tls: Option<Arc<Tls>>) -> Infallible {
         listener
             .serve(tls, Protocol::Http2, Answering(self.clone()))
             .await
     }
 
-    /// Serves pages: while it stands by, one that names the leader; then those of the coordinator.
+    /// Serves pages: while the replica stands by, a page that names the leader; then the pages of the
+    /// coordinator.
     ///
     /// # Errors
-    /// [`ServeError::Broken`].
+    /// [`ServeError::Broken`] if a server ends by itself.
     pub async fn serve_http(
         &self,
         listener: Listener,
         tls: Option<Arc<Tls>>,
     ) -> Result<Infallible, ServeError> {
-        // The same socket twice, so that no caller is turned away in between.
+        // Both servers share the socket, so that callers can connect during the switch.
         let first = listener.clone();
-        let mut now = self.0.now.subscribe();
+        let mut leadership = self.0.leadership.subscribe();
         let front = self.clone();
         let pointing = Router::new().fallback(move || {
             let answer = front.pointer();
@@ -178,9 +185,9 @@ impl Front {
         let coordinator = tokio::select! {
             never = first.serve(tls.clone(), Protocol::Http1, pointing) => match never {},
             coordinator = async {
-                let here = now.wait_for(|now| matches!(now, Now::Here(..))).await;
-                here.ok().and_then(|now| match &*now {
-                    Now::Here(_, coordinator) => Some(Arc::clone(coordinator)),
+                let local = leadership.wait_for(|current| matches!(current, Leadership::Local(..)));
+                local.await.ok().and_then(|current| match &*current {
+                    Leadership::Local(_, coordinator) => Some(Arc::clone(coordinator)),
                     _ => None,
                 })
             } => coordinator,
@@ -191,78 +198,88 @@ impl Front {
         serve_http(coordinator, listener, tls).await
     }
 
-    /// Says where the leader is.
+    /// Returns a page that names the address of the leader.
     fn pointer(&self) -> (StatusCode, [(header::HeaderName, &'static str); 2], String) {
-        let text = match &*self.0.now.borrow() {
-            Now::Elsewhere(_, address) => {
-                format!("this coordinator stands by; the one that leads is called at {address}\n")
+        let text = match &*self.0.leadership.borrow() {
+            Leadership::Remote(_, address) => {
+                format!("this coordinator is a standby; call the leader at {address}\n")
             }
-            _ => "this coordinator stands by, and none leads at the moment\n".to_owned(),
+            _ => {
+                "this coordinator is a standby, and no coordinator leads at the moment; try again\n"
+                    .to_owned()
+            }
         };
-        // A connection that stays would ask here again when this coordinator leads.
+        // On a persistent connection, the client would still reach this page after this coordinator became
+        // the leader.
         let headers = [(header::CONNECTION, "close"), (header::RETRY_AFTER, "5")];
         (StatusCode::SERVICE_UNAVAILABLE, headers, text)
     }
 
     async fn answer(&self, request: Request<axum::body::Body>) -> Response<axum::body::Body> {
         if request.uri().path().starts_with("/grpc.health.v1.Health/") {
-            // Of this process, whoever leads. Whether it is ready to lead or to pass calls on belongs here,
-            // too.
+            // Health describes this process, regardless of the leader: it is ready if it can lead or forward
+            // calls.
             return answered(self.0.services.health().oneshot(request).await)
                 .map(axum::body::Body::new);
         }
-        let mut now = self.0.now.subscribe();
-        let known =
-            tokio::time::timeout(PATIENCE, now.wait_for(|now| !matches!(now, Now::Nobody))).await;
-        let now = known.ok().and_then(Result::ok).map(|now| now.clone());
-        match now {
-            Some(Now::Here(guarded, _)) => answered(guarded.oneshot(request).await),
-            Some(Now::Elsewhere(_, leader)) if self.0.certified && is_known_by_certificate(&request) => {
+        let mut leadership = self.0.leadership.subscribe();
+        let known = leadership.wait_for(|current| !matches!(current, Leadership::Unknown));
+        let known = tokio::time::timeout(PATIENCE, known).await;
+        let leadership = known.ok().and_then(Result::ok).map(|known| known.clone());
+        match leadership {
+            Some(Leadership::Local(guarded, _)) => answered(guarded.oneshot(request).await),
+            Some(Leadership::Remote(_, leader))
+                if self.0.certified && is_known_by_certificate(&request) =>
+            {
                 Status::unavailable(format!(
-                    "this coordinator stands by and cannot pass on a certificate; call the one that leads, \
-                     at {leader}, or use a token with the scope worker"
+                    "this coordinator is a standby and cannot forward a certificate; call the \
+                     leader at {leader}, or use a token with the scope worker"
                 ))
                 .into_http()
             }
-            Some(Now::Elsewhere(to, _)) => {
+            Some(Leadership::Remote(to, _)) => {
                 let peer = request.extensions().get::<Peer>().cloned();
                 let is_worker = needed(request.uri().path()) == Need::Scope(Scope::Worker);
                 let answer = to.forward(request).await;
-                // The leader's guard answers a call that it does not admit with a status and no body.
-                if let Some(peer) = peer.filter(|_| Status::from_header_map(answer.headers()).is_none()) {
+                // For a rejected call, the leader's guard returns a status without a body.
+                if let Some(peer) =
+                    peer.filter(|_| Status::from_header_map(answer.headers()).is_none())
+                {
                     peer.admitted(is_worker);
                 }
                 answer.map(axum::body::Body::new)
             }
-            Some(Now::Nobody) | None => {
-                Status::new(Code::Unavailable, "no coordinator leads at the moment; try again").into_http()
-            }
+            Some(Leadership::Unknown) | None => Status::new(
+                Code::Unavailable,
+                "no coordinator leads at the moment; try again",
+            )
+            .into_http(),
         }
     }
 }
 
-/// A replica that stands by does what it is there for, and has nothing to count.
+/// Metrics and readiness of a replica. A standby has few metrics.
 impl Probed for Front {
     fn metrics(&self) -> Result<String, String> {
         match self.leads() {
             Some(coordinator) => Probed::metrics(&*coordinator),
-            None => standing_by().map_err(|e| e.to_string()),
+            None => standby_metrics().map_err(|e| e.to_string()),
         }
     }
 
     fn readiness(&self) -> Result<(), Vec<String>> {
-        match &*self.0.now.borrow() {
-            Now::Here(_, coordinator) => Probed::readiness(&**coordinator),
-            Now::Elsewhere(..) => Ok(()),
-            Now::Nobody => Err(vec!["no coordinator leads at the moment".to_owned()]),
+        match &*self.0.leadership.borrow() {
+            Leadership::Local(_, coordinator) => Probed::readiness(&**coordinator),
+            Leadership::Remote(..) => Ok(()),
+            Leadership::Unknown => Err(vec!["no coordinator leads at the moment".to_owned()]),
         }
     }
 }
 
 impl Front {
     fn leads(&self) -> Option<Arc<Coordinator>> {
-        match &*self.0.now.borrow() {
-            Now::Here(_, coordinator) => Some(Arc::clone(coordinator)),
+        match &*self.0.leadership.borrow() {
+            Leadership::Local(_, coordinator) => Some(Arc::clone(coordinator)),
             _ => None,
         }
     }
@@ -275,7 +292,7 @@ fn answered<B>(answer: Result<Response<B>, Infallible>) -> Response<B> {
     }
 }
 
-/// Whether a caller shows a certificate and no token.
+/// Returns true if the caller shows a certificate and no token.
 fn is_known_by_certificate<B>(request: &Request<B>) -> bool {
     let certificate = request
         .extensions()
@@ -284,7 +301,7 @@ fn is_known_by_certificate<B>(request: &Request<B>) -> bool {
     certificate.is_some() && !request.headers().contains_key(header::AUTHORIZATION)
 }
 
-/// The service behind a replica's address.
+/// The service at a replica's address.
 #[derive(Clone)]
 struct Answering(Front);
 

@@ -1,5 +1,5 @@
-//! Two replicas on a database, in one process: calls to the one that stands by, and what becomes of them when
-//! the other one resigns.
+//! Tests of two replicas on a database in one process: calls to the standby, and their results when the
+//! leader resigns.
 
 use std::time::Duration;
 
@@ -16,9 +16,9 @@ use tonic_health::pb::health_client::HealthClient;
 
 use super::super::connections::{ConnectionLimits, Connections};
 use super::*;
-use crate::lifecycle::Config;
+use crate::config::Config;
 
-/// A replica that serves.
+/// A replica with its server and a client.
 struct One {
     url: String,
     replica: Arc<Replica>,
@@ -70,7 +70,7 @@ async fn until(replica: &Replica, seen: impl Fn(&Role) -> bool) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
+async fn calls_are_forwarded_and_answered_after_leader_resigns() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -82,7 +82,7 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
     })
     .await;
 
-    // An answer, an error and a stream of the leader's.
+    // The leader returns a message, an error and a stream.
     let mut jobs = JobsClient::new(second.channel.clone());
     assert!(
         jobs.list(v1::ListRequest::default())
@@ -116,7 +116,7 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
         .into_inner();
     assert!(heard.next().await.unwrap().is_ok());
 
-    // The process answers for its health, and passes nothing on that was passed on.
+    // The process itself reports its health, and rejects calls that were already forwarded once.
     let health = HealthCheckRequest {
         service: String::new(),
     };
@@ -138,7 +138,7 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
         first.following.await.unwrap(),
         Err(ReplicaError::Ended(_))
     ));
-    // The stream ends with a status that tells to try again; a call waits until somebody leads.
+    // The stream ends with a status that requests another attempt. A new call waits for a leader.
     let ended = loop {
         match heard.next().await {
             Some(Ok(_)) => {}

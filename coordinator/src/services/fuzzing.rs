@@ -1,7 +1,8 @@
-//! The body of the fuzz target `calls`: any bytes as calls of the gRPC interface, to a coordinator without a
-//! disk. The tests run it too.
+//! The body of the fuzz target `calls`: arbitrary bytes as calls of the gRPC interface, to a coordinator
+//! without a disk.
 //!
-//! The calls and their messages come from the descriptors of the interface, so that a new call is covered.
+//! The tests run it, too. The calls and their messages come from the descriptors of the interface, so that a
+//! new call is covered.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -24,26 +25,28 @@ use tonic::codegen::http::{HeaderMap, Request};
 use tonic::{Code, Status};
 use tower::{Layer as _, ServiceExt as _};
 
-use super::counting::Counting;
-use super::guard::Guard;
+use super::authorize::AuthorizeLayer;
+use super::call_metrics::CallMetrics;
 use super::server::Services;
 use crate::clock::SystemClock;
-use crate::state::{Coordinator, Leases};
+use crate::config::Leases;
+use crate::coordinator::Coordinator;
 
-/// Calls of one run.
+/// The number of calls per run.
 const CALLS: usize = 6;
-/// Deepest message in a message.
+/// Maximum nesting depth of a generated message.
 const DEEPEST: u32 = 5;
-/// The time without a part of an answer after which the caller leaves: answers to watchers have no end.
+/// The time without a part of an answer after which the caller disconnects, because answers to watchers are
+/// endless.
 const PATIENCE: Duration = Duration::from_millis(20);
 /// The text with which tonic answers a message that it cannot decode, as Internal.
 const UNDECODABLE: &str = "failed to decode Protobuf message";
-/// The texts of DataLoss that are about sent bytes, not about stored bytes.
+/// The texts of DataLoss errors about sent bytes rather than stored bytes.
 const IN_TRANSIT: [&str; 2] = ["arrived damaged", "the stream ended before"];
-/// Parts of an answer that the caller reads.
+/// Maximum number of parts of an answer that the caller reads.
 const PARTS: usize = 40;
 
-/// A call of the interface.
+/// A method of the interface.
 #[derive(Clone, Debug)]
 pub struct Method {
     /// The path, such as `/sightline.v1.Jobs/Show`.
@@ -52,15 +55,15 @@ pub struct Method {
     is_stream: bool,
 }
 
-/// The calls of the interface and its messages by their names.
+/// The methods and messages of the interface, by name.
 pub struct Interface {
-    /// All calls.
+    /// All methods.
     pub methods: Vec<Method>,
     messages: BTreeMap<String, DescriptorProto>,
 }
 
 impl Interface {
-    /// Reads the descriptors.
+    /// Reads the compiled descriptors.
     ///
     /// # Panics
     /// Panics if the compiled descriptors cannot be read.
@@ -88,7 +91,8 @@ impl Interface {
         Self { methods, messages }
     }
 
-    /// Makes a message of a type from `bytes`: any fields with likely and unlikely values.
+    /// Creates a message of the type `name` from `bytes`, with arbitrary fields and with likely and unlikely
+    /// values.
     fn message(&self, name: &str, bytes: &mut Entropy<'_>, known: &Fixture, depth: u32) -> Vec<u8> {
         let mut out = Vec::new();
         match name {
@@ -104,7 +108,7 @@ impl Interface {
         for field in &descriptor.field {
             let count = match field.label() {
                 Label::Repeated => bytes.below(4),
-                // Of a choice one field is enough.
+                // One field of a choice is sufficient.
                 _ if field.oneof_index.is_some() => {
                     usize::from(bytes.one_in(descriptor.field.len().min(4)))
                 }
@@ -219,7 +223,7 @@ fn put(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend(bytes);
 }
 
-/// Makes a chunk with a right checksum.
+/// Creates a chunk with a correct checksum.
 fn chunk(bytes: &mut Entropy<'_>) -> Vec<u8> {
     let data = bytes.pick(&[&b"fuzz"[..], b"", &[7; 1000]]).to_vec();
     let total = bytes.pick(&[data.len() as u64, 8, 0, u64::MAX]);
@@ -233,13 +237,13 @@ fn chunk(bytes: &mut Entropy<'_>) -> Vec<u8> {
     chunk.encode_to_vec()
 }
 
-/// Values that exist in the coordinator.
+/// Values that exist in the coordinator under test.
 struct Fixture {
     scene: Digest,
     spec: Vec<u8>,
 }
 
-/// Bytes as a source of choices. At its end every choice is the first one.
+/// A source of choices from bytes. After the last byte, every choice is the first one.
 struct Entropy<'a>(&'a [u8]);
 
 impl Entropy<'_> {
@@ -253,21 +257,21 @@ impl Entropy<'_> {
         usize::from(self.next().unwrap_or(0)) % n.max(1)
     }
 
-    /// Returns true in one of `n` cases, and at the end.
+    /// Returns true in one of `n` cases, and always after the last byte.
     fn one_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
 
-    fn pick<T: Clone>(&mut self, of: &[T]) -> T {
-        of[self.below(of.len())].clone()
+    fn pick<T: Clone>(&mut self, choices: &[T]) -> T {
+        choices[self.below(choices.len())].clone()
     }
 }
 
-/// Makes calls of a new coordinator, which has a scene and a job of two tiles. Returns the calls and their
+/// Calls methods of a new coordinator, which has a scene and a job of two tiles. Returns the calls and their
 /// codes.
 ///
 /// # Panics
-/// Panics if a call panics or fails for an internal reason. No bytes may cause that.
+/// Panics if a call panics or fails for an internal reason. No input may cause either.
 pub fn calls(interface: &Interface, bytes: &[u8]) -> Vec<(String, Code)> {
     #[expect(
         clippy::unwrap_used,
@@ -278,7 +282,7 @@ pub fn calls(interface: &Interface, bytes: &[u8]) -> Vec<(String, Code)> {
         .build()
         .unwrap();
     let made = runtime.block_on(make_calls(interface, &mut Entropy(bytes)));
-    // Work that a call left behind.
+    // The shutdown waits for the remaining work of the calls.
     runtime.shutdown_timeout(Duration::from_secs(10));
     #[expect(clippy::unwrap_used, reason = "the coordinator is in memory")]
     made.unwrap()
@@ -307,8 +311,9 @@ async fn make_calls(
         spec: spec.to_message().encode_to_vec(),
     };
     let services = Services::new();
-    let routes = Guard(Arc::clone(&coordinator)).layer(services.routes(&coordinator).await?);
-    let routes = Counting::of(&coordinator).layer(routes);
+    let routes =
+        AuthorizeLayer(Arc::clone(&coordinator)).layer(services.routes(&coordinator).await?);
+    let routes = CallMetrics::new(&coordinator).layer(routes);
     let submitted = v1::SubmitRequest {
         request_id: "first".to_owned(),
         name: "fuzz".to_owned(),
@@ -365,7 +370,7 @@ async fn make_calls(
     Ok(made)
 }
 
-/// Makes a call and reads the answer; a caller that loses patience counts as cancelled.
+/// Calls a method and reads the answer. A call whose caller stops waiting counts as cancelled.
 async fn call<S>(
     routes: &S,
     path: &str,
@@ -418,10 +423,10 @@ mod tests {
 
     use super::*;
 
-    /// Runs of the body.
+    /// The number of runs of the body.
     const RUNS: u64 = 300;
 
-    /// Random calls. `SIGHTLINE_FUZZ_SEED` selects others.
+    /// Calls methods with random bytes. `SIGHTLINE_FUZZ_SEED` sets the first seed.
     #[test]
     fn fuzzed_calls_do_not_crash() {
         let interface = Interface::new();
@@ -444,7 +449,7 @@ mod tests {
         let all: BTreeSet<String> = interface.methods.iter().map(|m| m.path.clone()).collect();
         assert!(all.len() >= 25, "{all:?}");
         assert_eq!(called, all, "every call is made");
-        // Messages that every call rejects would reach little of the code.
+        // Messages that every method rejects would cover little of the code.
         assert!(
             answered.len() * 2 > all.len(),
             "only {answered:?} succeeded"

@@ -1,4 +1,4 @@
-//! The `Jobs` service: scenes in, jobs, results out.
+//! The `Jobs` service: uploads of scenes, control of jobs, and downloads of results.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -9,45 +9,46 @@ use sightline_model::{JobSpec, PlannedJob, SceneFacts, SpecError};
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_records::ids::{Digest, JobId};
-use sightline_scene::{Kind, Rule};
+use sightline_scene::{KindRule, SurfaceKind};
 use sightline_store::StoreError;
 use sightline_traces::ids::parent_of;
 use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
+use super::authorize::{caller, own_job};
 use super::blocking::{blocking, blocking_one_of, in_turn, large};
-use super::guard::{caller, own_job};
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{Answer, status, wire};
 use crate::access::Caller;
+use crate::coordinator::Coordinator;
 use crate::jobs::control::{self, JobError, JobFilter, Summary};
 use crate::jobs::delete;
 use crate::jobs::estimate;
-use crate::jobs::resume;
 use crate::jobs::submit::{self, Submission};
+use crate::jobs::suspend;
+use crate::jobs::suspensions::MissingBlob;
 use crate::outputs::commit::MAX_LIGHT;
 use crate::results::partial;
-use crate::state::{Coordinator, MissingBlob};
 use crate::uploads::receivers;
 use crate::uploads::scene_files;
 use crate::uploads::scenes;
 use crate::uploads::spool::Spool;
 
-/// Chunks of one scene: 64 GiB.
+/// Maximum number of chunks in a scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
 /// Maximum number of rules of a scene file.
 const MAX_RULES: usize = 256;
 /// Maximum length of a scene file's name and of the pattern of a rule, in bytes.
 const MAX_PATTERN_BYTES: usize = 1024;
-/// Most jobs of a page.
+/// Maximum number of jobs on a page.
 const MAX_PAGE: u32 = 1000;
 /// The priorities that jobs may have.
 const PRIORITIES: std::ops::RangeInclusive<i32> = -1000..=1000;
-/// Shortest time between two messages of Watch.
+/// Minimum time between two messages of `Watch`.
 const WATCH_EVERY: Duration = Duration::from_millis(250);
 
-/// How long a watcher may leave a message unread.
+/// Maximum time for which a watcher may leave a message unread.
 const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::jobs_server::Jobs`].
@@ -103,7 +104,7 @@ impl v1::jobs_server::Jobs for JobsService {
         let whole = wire::digest(&r.digest)?;
         if r.chunks.len() > MAX_CHUNKS {
             return Err(Status::invalid_argument(
-                "the scene has too many chunks; split it",
+                "the scene has too many chunks; split the scene",
             ));
         }
         let parts = r
@@ -113,15 +114,16 @@ impl v1::jobs_server::Jobs for JobsService {
             .collect::<Result<Vec<_>, _>>()?;
         let (owner, asked) = (caller.owner().to_owned(), parts.clone());
         blocking(&self.0, move |c| {
-            scenes::check_sent(c, &owner, whole, &asked).map_err(|e| status::of_upload(&e))
+            scenes::check_sent(&c.records, &c.uploads, &owner, whole, &asked)
+                .map_err(|e| status::of_upload(&e))
         })
         .await?;
         let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
-        blocking_one_of(&self.0, &self.0.files, move |c| {
+        blocking_one_of(&self.0, &self.0.uploads.files, move |c| {
             let _large = large;
             let record = scenes::put_scene(c, caller.owner(), whole, &parts)
                 .map_err(|e| status::of_upload(&e))?;
-            resume::back(c, MissingBlob::Scene(whole));
+            suspend::resume_jobs(c, MissingBlob::Scene(whole));
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -145,11 +147,11 @@ impl v1::jobs_server::Jobs for JobsService {
             .map(|d| wire::digest(d))
             .collect::<Result<Vec<_>, _>>()?;
         let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
-        blocking_one_of(&self.0, &self.0.files, move |c| {
+        blocking_one_of(&self.0, &self.0.uploads.files, move |c| {
             let _large = large;
             let stored = receivers::put(c, caller.owner(), whole, &parts);
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
-            resume::back(c, MissingBlob::Receivers(whole));
+            suspend::resume_jobs(c, MissingBlob::Receivers(whole));
             let (points, lights) = (facts.points, facts.lights);
             Ok(Response::new(v1::ReceiversInfo {
                 digest: whole.to_vec(),
@@ -170,16 +172,16 @@ impl v1::jobs_server::Jobs for JobsService {
         let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part)
         else {
             return Err(Status::invalid_argument(
-                "a file's first part must be its header",
+                "the first part of a file must be its header",
             ));
         };
         let chunk_of = |part: v1::SceneFilePart| match part.part {
             Some(Part::Chunk(chunk)) => Ok(chunk),
             _ => Err(Status::invalid_argument(
-                "after a file's header only chunks may come",
+                "only chunks may follow the header of a file",
             )),
         };
-        // From here on the header takes little memory, however long the file takes.
+        // From here on the header requires little memory, however long the upload lasts.
         let (name, rules) = (file_name(header.name)?, rules(header.rules)?);
         let first = parts.next().await.transpose()?.map(chunk_of).transpose()?;
         // The first chunk announces the length.
@@ -194,7 +196,7 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
         let caller = caller(&self.0, &r)?;
-        // What is no header of a trace leads to nothing.
+        // An invalid trace header has no effect.
         let cause = r
             .metadata()
             .get("traceparent")
@@ -219,7 +221,7 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn estimate(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::EstimateResponse> {
         let caller = caller(&self.0, &r)?;
         let (user, r) = (caller.owner().to_owned(), r.into_inner());
-        in_turn(&self.0, &self.0.lookups, &user, move |c, _| {
+        in_turn(&self.0, &self.0.results.lookups, &user, move |c, _| {
             let submission = draft(c, &caller, r)?;
             let estimate =
                 estimate::estimate(c, &caller, &submission).map_err(|e| status::of_submit(&e))?;
@@ -248,7 +250,7 @@ impl v1::jobs_server::Jobs for JobsService {
         } else {
             Some(wire::digest(&scene)?)
         };
-        let wanted = JobFilter {
+        let filter = JobFilter {
             phases,
             name,
             user,
@@ -256,13 +258,13 @@ impl v1::jobs_server::Jobs for JobsService {
         };
         if limit > MAX_PAGE {
             return Err(Status::invalid_argument(format!(
-                "a page of {limit} jobs was asked for; ask for at most {MAX_PAGE}"
+                "a page of {limit} jobs was requested; request at most {MAX_PAGE}"
             )));
         }
         let most = if limit == 0 { MAX_PAGE } else { limit } as usize;
         let before = JobId(if before == 0 { u64::MAX } else { before });
         blocking(&self.0, move |c| {
-            let (list, older) = control::list(c, &caller, before, most, &wanted)
+            let (list, older) = control::list(c, &caller, before, most, &filter)
                 .map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ListResponse {
                 jobs: list.iter().map(wire::job).collect(),
@@ -275,11 +277,17 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let summary = summary(&self.0, id).await?;
-        let unable = control::unable(&self.0, id)
+        let unable = self
+            .0
+            .dispatcher
+            .read(|s| s.ineligible(id))
             .into_iter()
-            .map(wire::unable)
+            .map(wire::ineligible)
             .collect();
-        let teams = control::teams(&self.0, id)
+        let teams = self
+            .0
+            .dispatcher
+            .read(|s| s.tile_workers(id))
             .into_iter()
             .map(wire::team)
             .collect();
@@ -294,8 +302,8 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn watch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::WatchStream> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
-        // Before the first summary, so that a change between the two is not missed.
-        let changes = self.0.watched().subscribe(id);
+        // Subscribe before the first summary, so that the watcher does not miss a change in between.
+        let changes = self.0.dispatcher.watch_job(id);
         let first = summary(&self.0, id).await?;
         let (out, stream) = mpsc::channel(4);
         tokio::spawn(follow(Arc::clone(&self.0), id, first, changes, out));
@@ -354,7 +362,7 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn fetch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchStream> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let result = blocking(&self.0, move |c| {
-            control::result(c, id).map_err(|e| status::of_job(&e))
+            control::result(&c.records, id).map_err(|e| status::of_job(&e))
         })
         .await?;
         stream_blob(&self.0, result).await.map(Response::new)
@@ -362,7 +370,7 @@ impl v1::jobs_server::Jobs for JobsService {
 }
 
 impl JobsService {
-    /// Changes a job and answers with its summary.
+    /// Changes a job and returns its summary.
     async fn turn(
         &self,
         r: Request<v1::ShowRequest>,
@@ -377,16 +385,16 @@ impl JobsService {
     }
 }
 
-/// Returns true if chunks make a whole that is checked while no other large upload is in memory.
+/// Returns true if the chunks form a large upload, which is checked while no other large upload is in memory.
 fn is_large(parts: &[Digest]) -> bool {
     parts.len() as u64 > MAX_LIGHT / chunks::CHUNK_BYTES as u64
 }
 
-/// Begins a scene file of the given number of bytes, if its sender may have one.
+/// Starts a scene file with the given number of bytes, if the limits of its sender permit it.
 ///
 /// # Errors
-/// INVALID_ARGUMENT when a file has at most fewer bytes, RESOURCE_EXHAUSTED when the sender or all together
-/// would have too many.
+/// INVALID_ARGUMENT if the file is too long. RESOURCE_EXHAUSTED if the unfinished uploads of the sender, or
+/// of all senders, would have too many bytes.
 pub(super) async fn begin_file(
     c: &Arc<Coordinator>,
     caller: &Caller,
@@ -399,11 +407,11 @@ pub(super) async fn begin_file(
     blocking(c, begin).await
 }
 
-/// Returns the name of a scene file, if it is short.
+/// Returns the name of a scene file, or an error if the name is too long.
 pub(super) fn file_name(name: String) -> Result<String, Status> {
     if name.len() > MAX_PATTERN_BYTES {
         return Err(Status::invalid_argument(format!(
-            "the name of the file has {} bytes; give one of at most {MAX_PATTERN_BYTES}",
+            "the name of the file has {} bytes; give a name of at most {MAX_PATTERN_BYTES} bytes",
             name.len()
         )));
     }
@@ -411,7 +419,7 @@ pub(super) fn file_name(name: String) -> Result<String, Status> {
 }
 
 /// Returns the rules of a scene file's header.
-fn rules(given: Vec<v1::KindRule>) -> Result<Vec<Rule>, Status> {
+fn rules(given: Vec<v1::KindRule>) -> Result<Vec<KindRule>, Status> {
     if given.len() > MAX_RULES {
         return Err(Status::invalid_argument(format!(
             "{} rules were given; a scene file has at most {MAX_RULES}",
@@ -421,17 +429,17 @@ fn rules(given: Vec<v1::KindRule>) -> Result<Vec<Rule>, Status> {
     let rule = |r: v1::KindRule| {
         if r.glob.len() > MAX_PATTERN_BYTES {
             return Err(Status::invalid_argument(format!(
-                "the pattern of a rule has {} bytes; give one of at most {MAX_PATTERN_BYTES}",
+                "the pattern of a rule has {} bytes; give a pattern of at most {MAX_PATTERN_BYTES} bytes",
                 r.glob.len()
             )));
         }
-        let kind = Kind::from_name(&r.kind).ok_or_else(|| {
+        let kind = SurfaceKind::from_name(&r.kind).ok_or_else(|| {
             Status::invalid_argument(format!(
-                "{:?} is no kind; give opaque, see-through, occluder-only, moving or doors",
+                "{:?} is not a kind of triangles; give opaque, see-through, occluder-only, moving or doors",
                 r.kind
             ))
         })?;
-        Rule::new(kind, &r.glob).map_err(|e| Status::invalid_argument(e.to_string()))
+        KindRule::new(kind, &r.glob).map_err(|e| Status::invalid_argument(e.to_string()))
     };
     given.into_iter().map(rule).collect()
 }
@@ -441,15 +449,15 @@ pub(super) async fn take_file(
     c: &Arc<Coordinator>,
     caller: Caller,
     name: String,
-    rules: Vec<Rule>,
+    rules: Vec<KindRule>,
     spool: Spool,
 ) -> Result<v1::SceneFileInfo, Status> {
     let large = large(c, caller.owner(), spool.announced() > MAX_LIGHT).await?;
-    blocking_one_of(c, &c.files, move |c| {
+    blocking_one_of(c, &c.uploads.files, move |c| {
         let _large = large;
         let taken = scene_files::take(c, caller.owner(), &name, spool, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
-        resume::back(c, MissingBlob::Scene(record.digest));
+        suspend::resume_jobs(c, MissingBlob::Scene(record.digest));
         Ok(v1::SceneFileInfo {
             scene: Some(wire::scene(&record)),
             warnings,
@@ -458,14 +466,16 @@ pub(super) async fn take_file(
     .await
 }
 
-/// The result of a job as a stream, or what is done of one that has not ended.
+/// Streams the result of a job. If the job has not ended, streams its partial result.
 pub(super) async fn so_far(
     c: &Arc<Coordinator>,
     user: &str,
     id: JobId,
 ) -> Result<ChunkStream, Status> {
     match blocking(c, move |c| {
-        control::result(c, id).map(Some).or_else(|e| none_yet(&e))
+        control::result(&c.records, id)
+            .map(Some)
+            .or_else(|e| none_yet(&e))
     })
     .await?
     {
@@ -474,13 +484,13 @@ pub(super) async fn so_far(
             let made = move |c: &Arc<Coordinator>, is_gone: &(dyn Fn() -> bool + Sync)| {
                 partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))
             };
-            let bytes = in_turn(c, &c.questions, user, made).await?;
+            let bytes = in_turn(c, &c.results.questions, user, made).await?;
             stream_bytes(c, bytes).await
         }
     }
 }
 
-/// A job without a result is no error.
+/// Converts the error of a job without a result into `None`.
 fn none_yet(e: &JobError) -> Result<Option<Digest>, Status> {
     match e {
         JobError::NoResult { .. } => Ok(None),
@@ -495,7 +505,7 @@ async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
     .await
 }
 
-/// A priority from the wire.
+/// Checks a priority from the wire.
 fn checked_priority(priority: i32) -> Result<i32, Status> {
     if PRIORITIES.contains(&priority) {
         return Ok(priority);
@@ -506,7 +516,7 @@ fn checked_priority(priority: i32) -> Result<i32, Status> {
     )))
 }
 
-/// A submission on a stored scene.
+/// Creates a submission on a stored scene.
 fn submission(
     c: &Coordinator,
     caller: &Caller,
@@ -514,21 +524,21 @@ fn submission(
 ) -> Result<Submission, Status> {
     let submission = draft(c, caller, r)?;
     let scene = submission.job.spec().scene;
-    scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
+    scenes::known(&c.records, caller, scene).map_err(|e| status::of_store(&e))?;
     Ok(submission)
 }
 
-/// A submission from the wire. A view box that is left out is the bounds of the scene, which must be stored
-/// then.
+/// Creates a submission from the wire. Without a view box, uses the bounds of the scene, which must then be
+/// stored.
 fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submission, Status> {
     let spec = r
         .spec
         .as_ref()
         .ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
     let scene = wire::digest(&spec.scene)?;
-    let record = match scenes::known(c, caller, scene) {
+    let record = match scenes::known(&c.records, caller, scene) {
         Ok(record) => Some(record),
-        // An estimate may come before the scene.
+        // A client may request an estimate before it uploads the scene.
         Err(StoreError::UnknownScene { .. }) => None,
         Err(e) => return Err(status::of_store(&e)),
     };
@@ -551,8 +561,8 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
     };
     let mut read = JobSpec::from_message(&spec, &facts);
     if read == Err(SpecError::NO_VIEW_BOX) {
-        scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
-        // They take a pass over the triangles, so they are found where they are needed.
+        scenes::known(&c.records, caller, scene).map_err(|e| status::of_store(&e))?;
+        // The bounds require a pass over the triangles, so they are computed only if they are needed.
         facts.bounds = Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?);
         read = JobSpec::from_message(&spec, &facts);
     }
@@ -561,7 +571,7 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
     let job = Arc::new(PlannedJob::new(spec).map_err(|e| invalid(&e))?);
     let priority = checked_priority(r.priority)?;
     let owner = caller.owner().to_owned();
-    // Users share the workers evenly, so nobody may take another's share.
+    // Users share the workers evenly, so only a caller who sees all data may name another user.
     let user = if caller.sees_all() && !r.user.is_empty() {
         r.user
     } else {
@@ -578,7 +588,7 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
     })
 }
 
-/// Sends a job's summary after every change, until the job ends or nobody reads.
+/// Sends a job's summary after every change, until the job ends or the client stops reading.
 async fn follow(
     c: Arc<Coordinator>,
     id: JobId,
@@ -589,11 +599,12 @@ async fn follow(
     let mut last = first;
     loop {
         let sent = tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::job(&last)))).await;
-        // Nobody reads, or nothing more will come.
+        // The client stopped reading, or the job has ended.
         if !matches!(sent, Ok(Ok(()))) || last.ended() {
             return;
         }
-        // A change is sent after a while, the end at once. Nothing is computed until then.
+        // A change is sent after a pause, the end of the job immediately. No summary is computed during the
+        // pause.
         let quiet = tokio::time::sleep(WATCH_EVERY);
         tokio::pin!(quiet);
         let mut quiet_over = false;
@@ -618,7 +629,7 @@ async fn follow(
                     break;
                 }
                 Err(s) => {
-                    // Fails when nobody reads any more.
+                    // The send fails if the client stopped reading.
                     let _ = out.send(Err(s)).await;
                     return;
                 }

@@ -1,4 +1,4 @@
-//! Bodies of requests that are read when there is room for their messages.
+//! Bodies of requests that are read only while memory for their messages is available.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,26 +12,27 @@ use tonic::Status;
 use tonic::body::Body;
 
 use crate::access::{Caller, Scope};
-use crate::quota::{Intake, Room};
+use crate::quota::{Intake, RequestMemory};
 
 /// Maximum size of a message or a body, in bytes.
 pub(super) const MAX_MESSAGE: u64 = 4 << 20;
-/// Size of a message that needs no room: a part of a body has as much.
+/// Maximum size of a message that needs no reservation, in bytes. A part of a body has the same size.
 const SMALL: u64 = 16 << 10;
-/// Memory that a message can need when it is decoded, as a multiple of its size: an empty element of a list
-/// takes two bytes of a message and up to 48 in memory.
+/// The memory that a decoded message can need, as a multiple of its size. An empty element of a list has two
+/// bytes in a message and up to 48 in memory.
 const GROWTH: u64 = 24;
-/// The calls whose messages hold chunks, which do not grow, from the second message on.
+/// The calls whose messages contain chunks, which do not grow, from the second message on.
 const CHUNKS: [&str; 3] = ["PutSceneFile", "PutResult", "Crew"];
-/// The call whose messages all hold chunks.
+/// The call whose messages all contain chunks.
 const ONLY_CHUNKS: &str = "PutChunks";
-/// Longest time in which a message with room may arrive. The room is others' then.
+/// Maximum time in which a message with a reservation may arrive. Afterwards, its memory is available to
+/// others.
 pub(super) const MESSAGE_TIME: Duration = Duration::from_secs(120);
 
-/// The room of the last message of a call, which outlives the request's body.
-pub(super) type LastRoom = Arc<Mutex<Option<Room>>>;
+/// The reserved memory of a call's last message, which outlives the request's body.
+pub(super) type LastRoom = Arc<Mutex<Option<RequestMemory>>>;
 
-/// Returns the name of a caller to whom the bound of a user applies.
+/// Returns the name of the caller if the limit of a user applies to it, and an empty name otherwise.
 pub(super) fn bounded(caller: Option<&Caller>) -> &str {
     match caller {
         Some(Caller::User { name, scopes }) if !scopes.include(Scope::Worker) => name,
@@ -39,31 +40,31 @@ pub(super) fn bounded(caller: Option<&Caller>) -> &str {
     }
 }
 
-/// Returns the memory that a body of JSON can need, by its length in bytes.
+/// Returns the memory that a JSON body can need, from its announced length in bytes.
 pub(super) fn needed_by_json(announced: u64) -> u64 {
     announced.min(MAX_MESSAGE) * GROWTH
 }
 
-/// A request's body whose messages are read when there is room for them.
+/// A request's body whose messages are read only while memory for them is available.
 pub(super) struct Metered {
     body: Body,
     intake: Arc<Intake>,
     user: String,
-    /// The growth of the message that begins next.
+    /// The growth factor of the next message.
     growth: u64,
-    /// The growth of the messages behind the first one.
+    /// The growth factor of the messages after the first one.
     later_growth: u64,
     framing: Framing,
     room: LastRoom,
-    waiting: Option<BoxFuture<'static, Result<Room, Status>>>,
-    /// The length of the messages that have room and were not decoded yet, in bytes.
+    waiting: Option<BoxFuture<'static, Result<RequestMemory, Status>>>,
+    /// The length of the messages that have memory and were not decoded yet, in bytes.
     begun: u64,
-    /// The time at which the message that has room must be complete.
+    /// The time at which the message with a reservation must be complete.
     deadline: Option<Pin<Box<Sleep>>>,
 }
 
 impl Metered {
-    /// Meters the body of a call, by the path of the call.
+    /// Limits the memory for the body of a call. `path` is the path of the call.
     pub(super) fn new(
         body: Body,
         intake: &Arc<Intake>,
@@ -114,7 +115,8 @@ impl HttpBody for Metered {
                 Err(status) => return Poll::Ready(Some(Err(status))),
             }
         }
-        // The server reads on when it has decoded a message. Handlers bound the lengths of lists.
+        // The server continues to read after it has decoded a message. The handlers limit the lengths of
+        // lists.
         if self.framing.rest == 0 && self.begun > 0 {
             let begun = std::mem::take(&mut self.begun);
             if let Some(room) = &mut *lock(&self.room) {
@@ -135,7 +137,7 @@ impl HttpBody for Metered {
             && let Some(data) = frame.data_ref()
             && let Some(MessageLengths { first, rest }) = self.framing.announced(data)
         {
-            // The messages before have been decoded, and the new ones wait for their own room.
+            // The previous messages have been decoded. The new messages wait for their own memory.
             *lock(&self.room) = None;
             self.deadline = None;
             let later = self.later_growth;
@@ -149,7 +151,7 @@ impl HttpBody for Metered {
                 self.waiting = Some(Box::pin(async move {
                     intake.room(&user, bytes).await.map_err(|_| {
                         Status::unavailable(
-                            "the coordinator is stopping; try again when it is back",
+                            "the coordinator is stopping; try again after its restart",
                         )
                     })
                 }));
@@ -170,26 +172,26 @@ impl HttpBody for Metered {
     }
 }
 
-/// The frames of gRPC in a body: one byte, the length of a message in four bytes, and the message.
+/// A parser of gRPC frames in a body: one byte, the length of a message in four bytes, and the message.
 #[derive(Debug, Default)]
 struct Framing {
     head: Vec<u8>,
-    /// Bytes of the current message that are still to come.
+    /// The number of missing bytes of the current message.
     rest: u64,
 }
 
-/// The lengths of the messages that begin in a part of a body, in bytes.
+/// The lengths of the messages that start in a part of a body, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct MessageLengths {
-    /// The length of the first one.
+    /// The length of the first message.
     first: u64,
-    /// The length of the others together.
+    /// The length of the other messages together.
     rest: u64,
 }
 
 impl Framing {
-    /// Reads the next part of a body, and returns the lengths of the messages that begin in it, if any do. A
-    /// message that is too long counts as the longest one; its reader rejects it.
+    /// Reads the next part of a body. Returns the lengths of the messages that start in the part, if any. A
+    /// message that is too long counts with the maximum length; its reader rejects it.
     fn announced(&mut self, mut part: &[u8]) -> Option<MessageLengths> {
         let mut begun = None;
         while !part.is_empty() {
@@ -223,7 +225,7 @@ impl Framing {
     }
 }
 
-/// Locks something whose changes are whole before anything can panic.
+/// Locks a mutex whose changes are complete before a panic can occur.
 fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -235,13 +237,13 @@ mod tests {
 
     use super::*;
 
-    /// Returns a message with its head.
+    /// Returns a message with its frame header.
     fn message(length: u32) -> Vec<u8> {
         [&[0], &length.to_be_bytes()[..], &vec![7; length as usize]].concat()
     }
 
     #[test]
-    fn framing_finds_messages_however_a_body_is_cut() {
+    fn framing_finds_messages_in_any_split_of_body() {
         let lengths = [0, 3, 70_000, 0, 0, 1];
         let body: Vec<u8> = lengths.iter().flat_map(|n| message(*n)).collect();
         for size in [1, 2, 3, 4, 5, 6, 7, 100, 16_384, body.len()] {
@@ -263,7 +265,7 @@ mod tests {
             rest: 0,
         });
         assert_eq!(framing.announced(&[0, 0xff, 0xff, 0xff, 0xff, 9]), longest);
-        // The header of a result and its first chunk in one part.
+        // A part with the header of a result and its first chunk.
         let part = [message(40), message(1 << 20)].concat();
         assert_eq!(
             Framing::default().announced(&part),
@@ -274,7 +276,7 @@ mod tests {
         );
     }
 
-    /// A call in progress: the sender of its body, and its body.
+    /// A call in progress: the sender of its body's parts, and its body.
     struct Sent {
         parts: mpsc::Sender<Result<bytes::Bytes, Status>>,
         body: Metered,
@@ -290,13 +292,13 @@ mod tests {
             Self { parts, body, _room }
         }
 
-        /// Sends a part, and returns true if the body reads it now.
+        /// Sends a part. Returns true if the body reads the part immediately.
         async fn takes(&mut self, part: Vec<u8>) -> bool {
             self.parts.send(Ok(part.into())).await.unwrap();
             self.reads()
         }
 
-        /// Returns true if the body gives a part now.
+        /// Returns true if the body returns a part immediately.
         fn reads(&mut self) -> bool {
             let next = std::future::poll_fn(|context| Pin::new(&mut self.body).poll_frame(context));
             next.now_or_never()
@@ -305,7 +307,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn messages_wait_for_room_before_their_bytes_are_read() {
+    async fn messages_wait_for_memory_before_their_bytes_are_read() {
         let intake = Arc::new(Intake::default());
         let head = |length: u64| [&[0], &(length as u32).to_be_bytes()[..]].concat();
         let submit = || Sent::new(&intake, "", "/sightline.v1.Jobs/Submit");
@@ -319,13 +321,13 @@ mod tests {
             calls.push(call);
             assert!(calls.len() < 100, "messages of 400 MB have room");
         };
-        // Small messages do not wait, and neither does another one of a chunk.
+        // Small messages do not wait, and neither does another message with a chunk.
         let mut small = Sent::new(&intake, "", "/sightline.v1.Workers/Work");
         assert!(small.takes(message(100)).await && small.takes(message(100)).await);
         drop(calls.pop());
-        // The part that waited.
+        // The waiting part is read now.
         assert!(next.reads());
-        // A message that was decoded keeps room for its length.
+        // A decoded message keeps the memory for its length.
         assert!(!submit_fits(&intake).await);
         assert!(
             next.takes(vec![7; MAX_MESSAGE as usize - 9]).await && next.takes(message(1)).await
@@ -334,20 +336,20 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn chunks_behind_a_header_take_room_for_their_length() {
+    async fn chunks_after_header_reserve_their_length() {
         let intake = Arc::new(Intake::default());
         let mut calls = Vec::new();
-        // With the room of a list for each chunk, ten calls would fill the intake.
+        // If each chunk reserved the memory of a list, ten calls would fill the intake.
         for _ in 0..20 {
             let mut call = Sent::new(&intake, "", "/sightline.v1.Workers/PutResult");
             assert!(call.takes([message(40), message(1 << 20)].concat()).await);
-            // The room is taken when the body is read on.
+            // The call reserves the memory when its body is read again.
             assert!(call.takes(vec![7]).await, "{} calls", calls.len());
             calls.push(call);
         }
     }
 
-    /// Returns true if the longest message has room now.
+    /// Returns true if memory for the longest message is available.
     async fn submit_fits(intake: &Arc<Intake>) -> bool {
         let mut call = Sent::new(intake, "", "/sightline.v1.Jobs/Submit");
         let head = [&[0], &(MAX_MESSAGE as u32).to_be_bytes()[..]].concat();

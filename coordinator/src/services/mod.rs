@@ -1,20 +1,20 @@
-//! The gRPC services: they translate between the wire and the subjects, and decide nothing.
+//! The gRPC services, which translate between the wire and the subjects and make no decisions.
 
 #[cfg(test)]
 mod admission_tests;
 mod answer_right;
+mod authorize;
 mod blocking;
+mod call_metrics;
 #[cfg(test)]
 mod caller_tests;
 mod connections;
-mod counting;
 mod crews;
 mod farm;
-mod forwarding;
+mod forwarder;
 mod front;
 #[doc(hidden)]
 pub mod fuzzing;
-mod guard;
 mod http;
 mod jobs;
 mod metered;
@@ -36,5 +36,5 @@ pub use metrics::{Probed, serve_probes};
 pub use server::serve;
 pub use tls::{Tls, TlsError, TlsFiles};
 
-/// The answer to a call: a message, or an error.
+/// The answer to a call: a message or an error.
 type Answer<T> = Result<tonic::Response<T>, tonic::Status>;

@@ -1,20 +1,20 @@
-//! The `Results` service: questions about stored results.
+//! The `Results` service: queries about stored results.
 
 use std::sync::Arc;
 
 use sightline_proto::v1;
 use tonic::{Request, Response};
 
+use super::authorize::{caller, own_job};
 use super::blocking::in_turn;
-use super::guard::{caller, own_job};
 use super::{Answer, status};
+use crate::coordinator::Coordinator;
 use crate::results::queries::{self, AskError};
-use crate::state::Coordinator;
 
 /// Serves [`v1::results_server::Results`].
 pub(crate) struct ResultsService(pub(crate) Arc<Coordinator>);
 
-/// A question that needs the scene, and stops when its last argument returns true.
+/// A query that needs the scene. It stops when its last argument returns true.
 type Question<Q, A> = fn(&Coordinator, &Q, &(dyn Fn() -> bool + Sync)) -> Result<A, AskError>;
 
 #[tonic::async_trait]
@@ -28,7 +28,7 @@ impl v1::results_server::Results for ResultsService {
                 .map(Response::new)
                 .map_err(|e| status::of_ask(&e))
         };
-        in_turn(&self.0, &self.0.lookups, user.owner(), answer).await
+        in_turn(&self.0, &self.0.results.lookups, user.owner(), answer).await
     }
 
     async fn why(&self, r: Request<v1::WhyRequest>) -> Answer<v1::WhyResponse> {
@@ -43,7 +43,7 @@ impl v1::results_server::Results for ResultsService {
 }
 
 impl ResultsService {
-    /// Answers a question that needs the scene: one at a time.
+    /// Answers a query that needs the scene. One query runs at a time.
     async fn ask<Q: Send + 'static, A: Send + 'static>(
         &self,
         r: Request<Q>,
@@ -56,6 +56,6 @@ impl ResultsService {
                 .map(Response::new)
                 .map_err(|e| status::of_ask(&e))
         };
-        in_turn(&self.0, &self.0.questions, user.owner(), answer).await
+        in_turn(&self.0, &self.0.results.questions, user.owner(), answer).await
     }
 }

@@ -1,4 +1,4 @@
-//! The coordinator on the network: its services, health, reflection, and the tick.
+//! The server of a coordinator: services, health, reflection, and the tick.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -19,38 +19,39 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use tower::{Layer as _, Service};
 
+use super::authorize::{AuthorizeLayer, Authorized};
 use super::blocking::{blocking, later};
+use super::call_metrics::{CallMetrics, Counted};
 use super::connections::{Listener, Protocol, ServeError};
-use super::counting::{Counted, Counting};
 use super::farm::FarmService;
-use super::guard::{Guard, Guarded};
 use super::jobs::JobsService;
 use super::results::ResultsService;
 use super::tls::Tls;
 use super::workers::WorkersService;
+use crate::coordinator::Coordinator;
 use crate::jobs::retention::tidy_up;
 use crate::jobs::retention_stamp;
-use crate::lifecycle;
-use crate::state::Coordinator;
+use crate::startup;
 use crate::telemetry::readiness::readiness;
 
-/// How often timers are looked at.
+/// The time between two ticks of the timers.
 const TICK: Duration = Duration::from_millis(200);
 
-/// How often it is looked whether the coordinator is ready.
+/// The time between two checks of the coordinator's readiness.
 const LOOK_EVERY: Duration = Duration::from_secs(10);
 
-/// Ticks between two removals of what is not kept, and before the first one.
+/// The number of ticks between two runs of retention, which is 10 minutes.
 const TIDY: u32 = 5 * 600;
+/// The number of ticks before the first run of retention, which is 10 s.
 const TIDY_FIRST: u32 = 5 * 10;
 
-/// Ticks between two looks at the file of tokens.
+/// The number of ticks between two checks of the token file, which is 1 s.
 const REFRESH: u32 = 5;
 
-/// Serves until `stop` resolves; encrypted if there are certificates.
+/// Serves until `stop` resolves. Connections are encrypted if `tls` has certificates.
 ///
 /// # Errors
-/// [`ServeError::Broken`] when the server ends by itself.
+/// [`ServeError::Broken`] if the server ends by itself.
 pub async fn serve(
     coordinator: Arc<Coordinator>,
     listener: Listener,
@@ -61,31 +62,32 @@ pub async fn serve(
     let routes = services.routes(&coordinator).await?;
     let ticks = tick(&coordinator);
     let looks = services.report_readiness(&coordinator);
-    // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
-    // acknowledged change is on the disk already.
+    let authorized = AuthorizedServices::new(&coordinator, routes);
+    // Open streams of workers and watchers would delay a graceful end forever, so they are cut off. Every
+    // acknowledged change is already on the disk.
     tokio::select! {
-        never = listener.serve(tls, Protocol::Http2, Guarding::new(&coordinator, routes)) => match never {},
+        never = listener.serve(tls, Protocol::Http2, authorized) => match never {},
         () = stop => {}
     }
     ticks.abort();
     looks.abort();
-    coordinator.event_log.write();
+    coordinator.telemetry.event_log.write();
     Ok(())
 }
 
-/// The calls of a coordinator: counted, admitted and answered.
+/// The service of a coordinator: counts, authorizes and answers calls.
 #[derive(Clone)]
-pub(super) struct Guarding(Counted<Guarded<Routes>>);
+pub(super) struct AuthorizedServices(Counted<Authorized<Routes>>);
 
-impl Guarding {
-    /// Puts the layers of a coordinator around its services.
+impl AuthorizedServices {
+    /// Wraps the services of a coordinator in its layers.
     pub(super) fn new(coordinator: &Arc<Coordinator>, routes: Routes) -> Self {
-        let guarded = Guard(Arc::clone(coordinator)).layer(routes);
-        Self(Counting::of(coordinator).layer(guarded))
+        let guarded = AuthorizeLayer(Arc::clone(coordinator)).layer(routes);
+        Self(CallMetrics::new(coordinator).layer(guarded))
     }
 }
 
-impl Service<Request<axum::body::Body>> for Guarding {
+impl Service<Request<axum::body::Body>> for AuthorizedServices {
     type Response = Response<axum::body::Body>;
     type Error = Infallible;
     type Future = BoxFuture<'static, Result<Self::Response, Infallible>>;
@@ -115,8 +117,7 @@ impl Service<Request<axum::body::Body>> for Guarding {
     }
 }
 
-/// Returns the time that a caller waits for an answer, as the specification of gRPC writes it: up to eight
-/// digits and a unit.
+/// Parses a timeout in the format of the gRPC specification: up to eight digits and a unit.
 fn timeout_of(text: &str) -> Option<Duration> {
     let (at, unit) = text.char_indices().last()?;
     let digits = text
@@ -137,14 +138,14 @@ fn timeout_of(text: &str) -> Option<Duration> {
     })
 }
 
-/// The services of a process, whose health is known before there is a coordinator.
+/// The services of a process. Its health is available before a coordinator exists.
 pub(super) struct Services {
     reporter: HealthReporter,
     health: Routes,
 }
 
 impl Services {
-    /// The process alone is healthy.
+    /// Creates services that report only the process as healthy.
     pub(super) fn new() -> Self {
         let (reporter, health) = tonic_health::server::health_reporter();
         Self {
@@ -153,12 +154,12 @@ impl Services {
         }
     }
 
-    /// The service of health alone.
+    /// Returns only the health service.
     pub(super) fn health(&self) -> Routes {
         self.health.clone()
     }
 
-    /// Keeps the health of the name `ready` up to date, until it is aborted.
+    /// Starts a task that keeps the health of the name `ready` up to date until the task is aborted.
     pub(super) fn report_readiness(&self, coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
         tokio::spawn(report_readiness(
             Arc::clone(coordinator),
@@ -166,7 +167,7 @@ impl Services {
         ))
     }
 
-    /// All services of a coordinator, which are healthy from now on.
+    /// Returns all services of a coordinator, and reports them as healthy.
     pub(super) async fn routes(
         &self,
         coordinator: &Arc<Coordinator>,
@@ -183,7 +184,7 @@ impl Services {
                 .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         };
         let reflection = reflected().build_v1().map_err(|e| broken(&e))?;
-        // Older tools ask by this name.
+        // Older tools use this name of the reflection service.
         let older = reflected().build_v1alpha().map_err(|e| broken(&e))?;
         Ok(self
             .health()
@@ -196,7 +197,7 @@ impl Services {
     }
 }
 
-/// Looks at timers a few times a second, until it is aborted.
+/// Starts a task that passes the time to the timers at each tick, until the task is aborted.
 pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
     let coordinator = Arc::clone(coordinator);
     tokio::spawn(async move {
@@ -207,6 +208,7 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
             tick.tick().await;
             ticks = ticks.wrapping_add(1);
             if let Some(access) = coordinator
+                .users
                 .access
                 .get()
                 .filter(|_| ticks.is_multiple_of(REFRESH))
@@ -214,7 +216,7 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
                 let access = Arc::clone(access);
                 tokio::task::spawn_blocking(move || access.refresh());
             }
-            later(&coordinator, lifecycle::tick(&coordinator));
+            later(&coordinator, startup::tick(&coordinator));
             if ticks % TIDY == TIDY_FIRST {
                 let coordinator = Arc::clone(&coordinator);
                 tokio::task::spawn_blocking(move || tidy_up(&coordinator));
@@ -223,15 +225,15 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
                 let coordinator = Arc::clone(&coordinator);
                 tokio::task::spawn_blocking(move || retention_stamp::record_if_due(&coordinator));
             }
-            if coordinator.event_log.has_unwritten() {
+            if coordinator.telemetry.event_log.has_unwritten() {
                 let coordinator = Arc::clone(&coordinator);
-                tokio::task::spawn_blocking(move || coordinator.event_log.write());
+                tokio::task::spawn_blocking(move || coordinator.telemetry.event_log.write());
             }
         }
     })
 }
 
-/// Keeps the health of the name `ready` up to date: liveness is the health without a name.
+/// Keeps the health of the name `ready` up to date. The health without a name reports liveness.
 async fn report_readiness(c: Arc<Coordinator>, health: tonic_health::server::HealthReporter) {
     let mut every = tokio::time::interval(LOOK_EVERY);
     let mut was = None;
@@ -256,7 +258,7 @@ async fn report_readiness(c: Arc<Coordinator>, health: tonic_health::server::Hea
                 ServingStatus::NotServing,
             ),
         };
-        // At the start everybody expects it to become ready.
+        // The first readiness after a start is expected, so it is not logged as a warning.
         if was.is_some() || !reasons.is_empty() {
             tracing::warn!("{is}");
         }
@@ -270,7 +272,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn timeouts_are_read_as_grpc_writes_them() {
+    fn timeouts_of_grpc_are_parsed() {
         for (text, seconds) in [
             ("2H", 7200.0),
             ("3M", 180.0),

@@ -1,4 +1,4 @@
-//! Limits of the time that a request's body may take: for a silence in its middle, and for all of it.
+//! Time limits of a request's body: for a silence between two parts, and for the whole body.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -9,7 +9,7 @@ use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::time::Sleep;
 use tonic::Status;
 
-/// A body whose end has to come within a time.
+/// A body with a deadline for its end.
 struct UntilDeadline {
     body: Body,
     deadline: Pin<Box<Sleep>>,
@@ -36,7 +36,7 @@ impl HttpBody for UntilDeadline {
         let frame = Pin::new(&mut self.body).poll_frame(context);
         if frame.is_pending() && self.deadline.as_mut().poll(context).is_ready() {
             let text = format!(
-                "the request did not arrive within {:?}; send it again",
+                "the request did not arrive within {:?}; send the request again",
                 self.limit
             );
             return Poll::Ready(Some(Err(axum::Error::new(Status::deadline_exceeded(text)))));
@@ -53,11 +53,11 @@ impl HttpBody for UntilDeadline {
     }
 }
 
-/// A body whose next part has to come within a time.
+/// A body with a maximum time until its next part.
 pub(super) struct UntilSilent<B> {
     body: B,
     limit: Duration,
-    /// The end of the silence, while the server waits for a part.
+    /// The end of the permitted silence, while the server waits for a part.
     silent: Option<Pin<Box<Sleep>>>,
 }
 
@@ -97,7 +97,8 @@ where
                 .silent
                 .get_or_insert_with(|| Box::pin(tokio::time::sleep(limit)));
             if silent.as_mut().poll(context).is_ready() {
-                let text = format!("nothing came for {limit:?}; send the request again");
+                let text =
+                    format!("no part of the request arrived for {limit:?}; send the request again");
                 return Poll::Ready(Some(Err(Status::deadline_exceeded(text).into())));
             }
         }
@@ -137,7 +138,7 @@ mod tests {
 
     #[tokio::test]
     async fn slow_body_ends_with_an_error() {
-        // It never ends and is never silent for long.
+        // The body is endless and never silent for long.
         let parts = futures::stream::unfold((), |()| async {
             tokio::time::sleep(Duration::from_millis(1)).await;
             Some((Ok::<_, Status>(Bytes::from_static(b"a")), ()))
@@ -164,7 +165,9 @@ mod tests {
             until_silent(Body::from_stream(parts), Duration::from_millis(5)).into_data_stream();
         let error = body.next().await.unwrap().unwrap_err();
         assert!(
-            error.to_string().contains("nothing came for 5ms"),
+            error
+                .to_string()
+                .contains("no part of the request arrived for 5ms"),
             "{error}"
         );
     }

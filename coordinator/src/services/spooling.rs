@@ -8,14 +8,14 @@ use tonic::{Status, Streaming};
 
 use super::blocking::blocking;
 use super::status;
-use crate::state::Coordinator;
+use crate::coordinator::Coordinator;
 use crate::uploads::spool::Spool;
 
-/// Fills a spool with the first chunk, if it has come already, and the chunks of a stream up to its end.
+/// Appends the first chunk, if it was already received, and all chunks of a stream to a spool.
 ///
 /// # Errors
-/// The errors of the stream and of `chunk_of`; DATA_LOSS and INVALID_ARGUMENT when the chunks differ from the
-/// announced ones.
+/// The errors of the stream and of `chunk_of`; DATA_LOSS or INVALID_ARGUMENT if the chunks differ from the
+/// announcement.
 pub(super) async fn filled<P>(
     c: &Arc<Coordinator>,
     mut spool: Spool,
@@ -32,9 +32,11 @@ pub(super) async fn filled<P>(
                 None => break,
             },
         };
-        // The disk may block.
+        // Writing may block on the disk.
         spool = blocking(c, move |c| {
-            spool.push(c, &chunk).map_err(|e| status::of_spool(&e))?;
+            spool
+                .push(&*c.blobs, &chunk)
+                .map_err(|e| status::of_spool(&e))?;
             Ok(spool)
         })
         .await?;

@@ -1,4 +1,4 @@
-//! The subjects' errors as gRPC statuses.
+//! Conversions from the subjects' errors to gRPC statuses.
 
 use std::time::Duration;
 
@@ -15,17 +15,17 @@ use crate::outputs::commit::ResultError;
 use crate::results::partial::PartialError;
 use crate::results::queries::AskError;
 use crate::uploads::complete::UploadError;
-use crate::uploads::receivers::Fault;
+use crate::uploads::receivers::StoredReceiversError;
 use crate::uploads::scene_files::FileError;
 use crate::uploads::scenes::{FactsError, TakeError};
 use crate::uploads::spool::SpoolError;
-use crate::users::quota_check::HavingError;
-use crate::workers::lease_tags::Forged;
+use crate::users::quota_check::ReservationError;
+use crate::workers::lease_tags::ForgedLease;
 
-/// When to try again after a full disk refused data.
+/// The delay before a client tries again after the disk was full.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// The status of a store error.
+/// Returns the status of a store error.
 pub(super) fn of_store(e: &StoreError) -> Status {
     let text = e.to_string();
     match e {
@@ -41,7 +41,7 @@ pub(super) fn of_store(e: &StoreError) -> Status {
         | StoreError::NotEmpty
         | StoreError::PlanDiffers { .. } => Status::failed_precondition(text),
         StoreError::Journal(JournalError::NoSpace { .. }) => full(&text),
-        // Worth trying again, here or at the coordinator that leads by then.
+        // Another attempt may succeed, here or at the coordinator that leads by then.
         StoreError::Unreachable { .. } | StoreError::Fenced { .. } => {
             tracing::error!("{text}");
             Status::unavailable(text)
@@ -50,7 +50,7 @@ pub(super) fn of_store(e: &StoreError) -> Status {
     }
 }
 
-/// The status of a blob error.
+/// Returns the status of a blob error.
 pub(super) fn of_blob(e: &BlobError) -> Status {
     match e {
         BlobError::NoSpace { .. } => full(&e.to_string()),
@@ -62,7 +62,7 @@ pub(super) fn of_blob(e: &BlobError) -> Status {
     }
 }
 
-/// The status of an upload that fails.
+/// Returns the status of a failed upload.
 pub(super) fn of_upload(e: &UploadError) -> Status {
     match e {
         UploadError::ChunkMissing | UploadError::ChunkDamaged => {
@@ -74,13 +74,13 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
         UploadError::TooLong { .. }
         | UploadError::LongChunk { .. }
         | UploadError::Repeated { .. } => Status::invalid_argument(e.to_string()),
-        UploadError::Having(e) => of_having(e),
+        UploadError::Quota(e) => of_reservation(e),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
     }
 }
 
-/// Returns the status of an upload that differs from its announcement, or that there is no room for.
+/// Returns the status of an upload that differs from its announcement or exceeds the available space.
 pub(super) fn of_spool(e: &SpoolError) -> Status {
     match e {
         SpoolError::LimitExceeded(_) => Status::with_error_details(
@@ -96,15 +96,15 @@ pub(super) fn of_spool(e: &SpoolError) -> Status {
     }
 }
 
-/// The status of something that a user may not have.
-pub(super) fn of_having(e: &HavingError) -> Status {
+/// Returns the status of a reservation that exceeds a limit.
+pub(super) fn of_reservation(e: &ReservationError) -> Status {
     match e {
-        HavingError::LimitExceeded(beyond) => Status::resource_exhausted(beyond.to_string()),
-        HavingError::Store(e) => of_store(e),
+        ReservationError::LimitExceeded(beyond) => Status::resource_exhausted(beyond.to_string()),
+        ReservationError::Store(e) => of_store(e),
     }
 }
 
-/// The status of a question without an answer.
+/// Returns the status of a query without an answer.
 pub(super) fn of_ask(e: &AskError) -> Status {
     match e {
         AskError::Job(e) => of_job(e),
@@ -116,7 +116,7 @@ pub(super) fn of_ask(e: &AskError) -> Status {
     }
 }
 
-/// The status of a file that is not taken.
+/// Returns the status of a rejected scene file.
 pub(super) fn of_file(e: &FileError) -> Status {
     match e {
         FileError::Scene(e) => Status::invalid_argument(e.to_string()),
@@ -124,12 +124,12 @@ pub(super) fn of_file(e: &FileError) -> Status {
         FileError::Spool(e) => of_spool(e),
         FileError::Take(TakeError::Blob(e)) => of_blob(e),
         FileError::Take(TakeError::Store(e)) => of_store(e),
-        FileError::Take(TakeError::Having(e)) => of_having(e),
+        FileError::Take(TakeError::Quota(e)) => of_reservation(e),
         FileError::Lost => internal(&e.to_string()),
     }
 }
 
-/// The status of a scene whose facts cannot be read.
+/// Returns the status of a scene whose facts cannot be read.
 pub(super) fn of_facts(e: &FactsError) -> Status {
     match e {
         FactsError::Blob(e) => of_blob(e),
@@ -137,22 +137,22 @@ pub(super) fn of_facts(e: &FactsError) -> Status {
     }
 }
 
-/// The status of receivers that cannot be had.
-pub(super) fn of_receivers(e: &Fault) -> Status {
+/// Returns the status of receivers that cannot be read.
+pub(super) fn of_receivers(e: &StoredReceiversError) -> Status {
     match e {
-        Fault::Unknown(_) => Status::not_found(e.to_string()),
-        Fault::Receivers(e) => Status::invalid_argument(e.to_string()),
-        Fault::Blob(e) => of_blob(e),
-        Fault::Store(e) => of_store(e),
+        StoredReceiversError::Unknown(_) => Status::not_found(e.to_string()),
+        StoredReceiversError::Receivers(e) => Status::invalid_argument(e.to_string()),
+        StoredReceiversError::Blob(e) => of_blob(e),
+        StoredReceiversError::Store(e) => of_store(e),
     }
 }
 
-/// The status of a submission that fails.
+/// Returns the status of a failed submission.
 pub(super) fn of_submit(e: &SubmitError) -> Status {
     match e {
         SubmitError::Spec(_) | SubmitError::Receiver(_) => Status::invalid_argument(e.to_string()),
         SubmitError::Schedule(text) => internal(text),
-        SubmitError::Having(e) => of_having(e),
+        SubmitError::Quota(e) => of_reservation(e),
         SubmitError::Facts(e) => of_facts(e),
         SubmitError::Receivers(e) => of_receivers(e),
         SubmitError::Blob(e) => of_blob(e),
@@ -160,7 +160,7 @@ pub(super) fn of_submit(e: &SubmitError) -> Status {
     }
 }
 
-/// The status of a job that cannot be changed or fetched.
+/// Returns the status of an error about a job.
 pub(super) fn of_job(e: &JobError) -> Status {
     match e {
         JobError::Outdated(_) | JobError::NoResult { .. } => {
@@ -170,7 +170,7 @@ pub(super) fn of_job(e: &JobError) -> Status {
     }
 }
 
-/// The status of a result of what is done of a job.
+/// Returns the status of a partial result that does not exist.
 pub(super) fn of_partial(e: &PartialError) -> Status {
     match e {
         PartialError::Nothing(_) | PartialError::Outdated(_) => {
@@ -184,12 +184,12 @@ pub(super) fn of_partial(e: &PartialError) -> Status {
     }
 }
 
-/// The status of a tile's output that is not committed.
+/// Returns the status of a tile's output that is not committed.
 pub(super) fn of_result(e: &ResultError) -> Status {
     match e {
         ResultError::Digest | ResultError::Unstaged(_) => Status::data_loss(e.to_string()),
         ResultError::Spool(e) => of_spool(e),
-        // The service checks a large output again.
+        // The service catches this error and checks the large output again.
         ResultError::Output(OutputError::Large) => internal(&e.to_string()),
         ResultError::NoJob(_) | ResultError::NoLease(_) => {
             Status::failed_precondition(e.to_string())
@@ -205,19 +205,19 @@ pub(super) fn of_result(e: &ResultError) -> Status {
     }
 }
 
-/// Returns the status of a lease that was never given.
-pub(super) fn of_forged(e: &Forged) -> Status {
+/// Returns the status of a forged lease.
+pub(super) fn of_forged(e: &ForgedLease) -> Status {
     Status::failed_precondition(e.to_string())
 }
 
-/// The status of a worker whose name is taken.
+/// Returns the status of a worker name that is in use.
 pub(super) fn of_name(e: &NameTaken) -> Status {
     Status::already_exists(e.to_string())
 }
 
-/// The disk is full: worth trying again.
+/// Returns the status of a full disk, which asks for another attempt.
 fn full(text: &str) -> Status {
-    tracing::error!("{text}: until then tiles wait and are tried again");
+    tracing::error!("{text}: tiles wait and are retried until the disk has space");
     Status::with_error_details(
         Code::ResourceExhausted,
         format!("{text}; try again in {} s", AGAIN.as_secs()),
@@ -225,7 +225,7 @@ fn full(text: &str) -> Status {
     )
 }
 
-/// A fault that only the log explains.
+/// Logs an internal error and returns its status.
 pub(super) fn internal(text: &str) -> Status {
     tracing::error!("{text}");
     Status::internal(text.to_owned())
@@ -236,13 +236,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_job_of_another_version_is_a_failed_precondition() {
+    fn job_of_other_version_is_failed_precondition() {
         let outdated = of_job(&JobError::Outdated("another version began it".to_owned()));
         assert_eq!(outdated.code(), Code::FailedPrecondition);
     }
 
     #[test]
-    fn a_full_disk_says_when_to_try_again_in_words_and_as_retry_info() {
+    fn full_disk_status_has_retry_delay() {
         let status = full("there is no space left");
         assert_eq!(status.code(), Code::ResourceExhausted);
         assert!(status.message().ends_with("try again in 10 s"), "{status}");

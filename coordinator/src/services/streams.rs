@@ -1,4 +1,4 @@
-//! Stored blobs as streams of chunks, without holding them in memory.
+//! Downloads of stored blobs as streams of chunks, with bounded memory.
 
 use std::io::Read;
 use std::pin::Pin;
@@ -15,16 +15,17 @@ use tonic::Status;
 
 use super::blocking::blocking;
 use super::{status, wire};
+use crate::coordinator::Coordinator;
 use crate::outputs::presigned;
-use crate::state::Coordinator;
 
-/// Chunks that are read before the client has taken the last one.
+/// The number of chunks that are read before the client has received the last one.
 const AHEAD: usize = 4;
 
-/// How long a client may leave the next chunk unread.
+/// Maximum time for which a client may leave the next chunk unread.
 const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
-/// Sends from a thread that may block; returns whether somebody has read before that time was over.
+/// Sends a chunk from a thread that may block. Returns true if the client accepted the chunk within
+/// `longest`.
 fn send_to(
     to: &Sender<Result<v1::Chunk, Status>>,
     chunk: Result<v1::Chunk, Status>,
@@ -35,40 +36,40 @@ fn send_to(
     matches!(sent, Ok(Ok(())))
 }
 
-/// A download.
+/// The chunks of a download.
 pub(super) type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
-/// The length of a blob.
+/// Returns the length of a blob in bytes.
 fn length(c: &Coordinator, d: &Digest) -> Result<u64, Status> {
-    let none = "nothing with this digest is stored here; it may have been tidied away";
+    let none = "no blob with this digest is stored; retention may have removed the blob";
     c.blobs
         .len(d)
         .map_err(|e| status::of_blob(&e))?
         .ok_or_else(|| Status::not_found(none))
 }
 
-/// Opens a blob. The whole is checked against its digest first, so that no damaged byte is ever sent.
+/// Opens a blob. The whole blob is checked against its digest first, so that no damaged byte is sent.
 fn open(c: &Coordinator, d: &Digest) -> Result<BlobReader, Status> {
     c.blobs.open_checked(d).map_err(|e| match e {
         e if e.is_lost() => Status::data_loss(e.to_string()),
-        // A disk or a store in trouble says nothing about the blob.
+        // A failure of the disk or of the store does not mean that the blob is damaged.
         e => status::of_blob(&e),
     })
 }
 
-/// A blob as a stream of chunks.
+/// Streams a blob in chunks.
 ///
 /// # Errors
-/// NOT_FOUND when it is absent, DATA_LOSS when it is damaged.
+/// NOT_FOUND if the blob is absent, DATA_LOSS if it is damaged.
 pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
     let blob = blocking(c, move |c| length(c, &d).and_then(|_| open(c, &d))).await?;
     stream(c, blob).await
 }
 
-/// A blob as a stream of chunks, or one chunk with its address.
+/// Streams a blob in chunks, or returns one chunk with the blob's address.
 ///
 /// # Errors
-/// As [`stream_blob`].
+/// As for [`stream_blob`].
 pub(super) async fn stream_or_address(
     c: &Arc<Coordinator>,
     d: Digest,
@@ -95,15 +96,16 @@ pub(super) async fn stream_or_address(
 }
 
 async fn stream(c: &Arc<Coordinator>, blob: BlobReader) -> Result<ChunkStream, Status> {
-    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-    let permit = Arc::clone(&c.downloads)
+    let closed =
+        |_| Status::unavailable("the coordinator is stopping; try again after its restart");
+    let permit = Arc::clone(&c.results.downloads)
         .acquire_owned()
         .await
         .map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
-        // A client that has gone away or does not read wants no more.
+        // A client that disconnects or stops reading receives no further chunks.
         read_chunks(blob.bytes, blob.length, |chunk| {
             send_to(&send, chunk, LONGEST_UNREAD)
         });
@@ -113,23 +115,24 @@ async fn stream(c: &Arc<Coordinator>, blob: BlobReader) -> Result<ChunkStream, S
     )))
 }
 
-/// Bytes in memory as a stream of chunks.
+/// Streams bytes in memory in chunks.
 ///
 /// # Errors
-/// UNAVAILABLE when the coordinator is stopping.
+/// UNAVAILABLE if the coordinator is stopping.
 pub(super) async fn stream_bytes(
     c: &Arc<Coordinator>,
     bytes: Arc<[u8]>,
 ) -> Result<ChunkStream, Status> {
-    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-    let permit = Arc::clone(&c.downloads)
+    let closed =
+        |_| Status::unavailable("the coordinator is stopping; try again after its restart");
+    let permit = Arc::clone(&c.results.downloads)
         .acquire_owned()
         .await
         .map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
-        // A client that has gone away or does not read wants no more.
+        // A client that disconnects or stops reading receives no further chunks.
         read_chunks(&*bytes, bytes.len() as u64, |chunk| {
             send_to(&send, chunk, LONGEST_UNREAD)
         });
@@ -139,7 +142,7 @@ pub(super) async fn stream_bytes(
     )))
 }
 
-/// Reads `length` bytes and passes them to `send` as chunks, until `send` returns false.
+/// Reads `length` bytes and passes them to `send` in chunks, until `send` returns false.
 fn read_chunks(
     mut bytes: impl Read,
     length: u64,
@@ -159,7 +162,7 @@ fn read_chunks(
             )),
             Ok(_) => Ok(chunks::chunk(data, offset, length)),
             Err(e) => Err(Status::data_loss(format!(
-                "a stored file cannot be read any more: {e}"
+                "a stored file is no longer readable: {e}"
             ))),
         };
         let failed = chunk.is_err();
@@ -184,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_is_cut_as_bytes_are() {
+    fn blob_and_bytes_have_same_chunks() {
         for n in [0, 1, chunks::CHUNK_BYTES, 2 * chunks::CHUNK_BYTES + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let read: Vec<v1::Chunk> = chunks_of(&bytes, n as u64)
@@ -196,7 +199,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_client_that_does_not_read_is_left() {
+    async fn client_that_does_not_read_is_disconnected() {
         let (send, mut receive) = tokio::sync::mpsc::channel(1);
         let sent = tokio::task::spawn_blocking(move || {
             let mut sent = 0;
@@ -210,13 +213,13 @@ mod tests {
             );
             sent
         });
-        // One waits in the channel, and the next one finds no room.
+        // One chunk waits in the channel, and the next one does not fit.
         assert_eq!(sent.await.unwrap(), 2);
         assert!(receive.recv().await.is_some() && receive.recv().await.is_none());
     }
 
     #[test]
-    fn a_blob_that_became_shorter_is_an_error() {
+    fn shortened_blob_is_error() {
         let read = chunks_of(&[7; 10], 11);
         assert!(read.last().unwrap().is_err());
         assert!(chunks_of(&[], 1)[0].is_err());

@@ -1,5 +1,5 @@
-//! Encryption of connections: certificate and key of the coordinator, and the authority of workers'
-//! certificates. The files can be read again while it serves.
+//! TLS of connections: certificate and key of the coordinator, and the authority of workers' certificates.
+//! The files can be read again while the coordinator serves.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -11,43 +11,43 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
 use tokio_rustls::rustls::{RootCertStore, ServerConfig};
 
-/// Where certificates and keys are, as PEM.
+/// The paths of certificates and keys, in PEM format.
 #[derive(Clone, Debug)]
 pub struct TlsFiles {
-    /// The certificate of the coordinator, and those between it and its authority.
+    /// The certificate of the coordinator, with the intermediate certificates of its authority.
     pub certificate: PathBuf,
-    /// Its key.
+    /// The private key of the coordinator.
     pub key: PathBuf,
-    /// The authority that signs the certificates of workers; `None` when workers have none.
+    /// The authority that signs the certificates of workers. `None` if workers have no certificates.
     pub client_ca: Option<PathBuf>,
 }
 
-/// Certificates or keys that cannot be used.
+/// An error of certificates or keys.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
-    /// A file cannot be read, or holds nothing of the kind.
+    /// A file cannot be read, or does not contain the expected item.
     #[error("{}: {reason}; give {what} as PEM", path.display())]
     File {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// What is wanted of it.
+        /// The expected item of the file.
         what: &'static str,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
-    /// The parts do not fit together.
+    /// The certificate and the key do not match.
     #[error("{} and {} cannot be used together: {reason}", certificate.display(), key.display())]
     Unfit {
         /// The certificate.
         certificate: PathBuf,
         /// The key.
         key: PathBuf,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
 }
 
-/// The encryption of a coordinator.
+/// The TLS configuration of a coordinator.
 pub struct Tls {
     files: TlsFiles,
     config: RwLock<ServerConfig>,
@@ -57,28 +57,28 @@ impl Tls {
     /// Reads the files.
     ///
     /// # Errors
-    /// [`TlsError`].
+    /// [`TlsError`] if a file cannot be read, or the files do not match.
     pub fn open(files: TlsFiles) -> Result<Self, TlsError> {
         let config = RwLock::new(read(&files)?);
         Ok(Self { files, config })
     }
 
-    /// Reads the files again, for connections from now on. If they cannot be used, nothing changes.
+    /// Reads the files again, for new connections. If they cannot be used, the previous configuration stays.
     ///
     /// # Errors
-    /// [`TlsError`].
+    /// [`TlsError`] if a file cannot be read, or the files do not match.
     pub fn reload(&self) -> Result<(), TlsError> {
         let config = read(&self.files)?;
         *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
         Ok(())
     }
 
-    /// Whether certificates of workers are checked.
+    /// Returns true if the coordinator checks certificates of workers.
     pub fn checks_workers(&self) -> bool {
         self.files.client_ca.is_some()
     }
 
-    /// Returns an acceptor of encrypted connections for a protocol of TLS's list.
+    /// Returns an acceptor of encrypted connections. `protocol` is the name of the protocol in ALPN.
     pub(super) fn acceptor(&self, protocol: &[u8]) -> TlsAcceptor {
         let mut config = self
             .config
@@ -101,7 +101,7 @@ fn certificates(path: &Path, what: &'static str) -> Result<Vec<CertificateDer<'s
         .collect();
     let all = all.map_err(|e| bad(e.to_string()))?;
     if all.is_empty() {
-        Err(bad("it holds no certificate".to_owned()))
+        Err(bad("the file contains no certificate".to_owned()))
     } else {
         Ok(all)
     }
@@ -139,7 +139,8 @@ fn read(files: &TlsFiles) -> Result<ServerConfig, TlsError> {
             for certificate in certificates(path, what)? {
                 roots.add(certificate).map_err(|e| bad(e.to_string()))?;
             }
-            // Clients with tokens have no certificate; whoever shows one must have a good one.
+            // Clients with tokens have no certificate. A client that shows a certificate must have a valid
+            // one.
             let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider)
                 .allow_unauthenticated()
                 .build();

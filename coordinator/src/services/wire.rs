@@ -1,11 +1,11 @@
-//! Translation of values between the wire format and the coordinator's types.
+//! Conversions of values between the wire format and the coordinator's types.
 
 use sightline_model::job::message::remove_large_parts;
 use sightline_proto::v1;
 use sightline_records::ids::{Digest, worker_name};
 use sightline_records::{JobPhase, JobState, QuarantineRecord, SceneRecord};
 use sightline_scheduler::{
-    LeasedTile, ProfileTime, Team, TileStatus, Unable, WorkerCommand, WorkerStatus,
+    Ineligible, LeasedTile, ProfileTime, TileStatus, TileWorkers, WorkerCommand, WorkerStatus,
 };
 use sightline_store::Address;
 use sightline_traces::TraceId;
@@ -14,25 +14,25 @@ use tonic::Status;
 use crate::jobs::control::Summary;
 use crate::jobs::estimate::Estimate;
 use crate::jobs::stored_spec;
+use crate::jobs::suspensions::MissingBlob;
 use crate::jobs::tiles::TileView;
-use crate::state::MissingBlob;
-use crate::telemetry::events::{Entry, Kind};
-use crate::workers::lease_tags::{LeaseTags, Use};
+use crate::telemetry::events::{Entry, EventKind};
+use crate::workers::lease_tags::{LeaseTags, LeaseUse};
 
-/// A digest from the wire.
+/// Converts a digest from the wire.
 ///
 /// # Errors
-/// INVALID_ARGUMENT when it does not have 32 bytes.
+/// INVALID_ARGUMENT if the digest does not have 32 bytes.
 pub(super) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
     bytes.try_into().map_err(|_| {
         Status::invalid_argument(format!(
-            "a digest of {} bytes was given; give the 32 of BLAKE3",
+            "the digest has {} bytes; give the 32 bytes of a BLAKE3 digest",
             bytes.len()
         ))
     })
 }
 
-/// An address for a worker. Nothing shows it on the way.
+/// Converts an address for a worker. The address is not logged.
 pub(super) fn address(address: Address) -> v1::Address {
     let header = |(name, value): (&str, String)| v1::Header {
         name: name.to_owned(),
@@ -46,7 +46,7 @@ pub(super) fn address(address: Address) -> v1::Address {
     }
 }
 
-/// The measured times of a worker's backends.
+/// Converts the measured times of a worker's backends.
 pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
     let time = |t: v1::ProfileTime| ProfileTime {
         profile: t.profile,
@@ -55,20 +55,20 @@ pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
     times.into_iter().map(time).collect()
 }
 
-/// An order to a worker, about a job with this trace.
-pub(super) fn order(
+/// Converts a command to a worker, with the trace of the command's job.
+pub(super) fn command(
     tags: &LeaseTags,
-    order: WorkerCommand,
+    command: WorkerCommand,
     trace: Option<TraceId>,
 ) -> v1::CoordinatorMessage {
     use v1::coordinator_message::Message;
     let trace = bytes_of(trace);
-    let message = match order {
+    let message = match command {
         WorkerCommand::Grant(grant) => Message::Grant(v1::Grant {
-            lease: Some(tags.to_wire(&grant.lease, Use::Hold)),
-            spec: Some(grant.work.spec().to_message()),
+            lease: Some(tags.to_wire(&grant.lease, LeaseUse::Hold)),
+            spec: Some(grant.planned.spec().to_message()),
             profile: grant.profile,
-            // A pack that is absent has an empty digest; the worker then reports the tile as failed.
+            // An absent pack has an empty digest, and the worker then reports the tile as failed.
             packs: grant
                 .packs
                 .iter()
@@ -78,22 +78,22 @@ pub(super) fn order(
             trace,
         }),
         WorkerCommand::Revoke(lease) => {
-            // The receiver knows the lease by its numbers, whether it holds it or helps its holder.
+            // The receiver identifies the lease by its numbers, both as its holder and as a helper.
             let lease = v1::Lease {
                 tag: 0,
-                ..tags.to_wire(&lease, Use::Hold)
+                ..tags.to_wire(&lease, LeaseUse::Hold)
             };
             Message::Revoke(v1::Revoke { lease: Some(lease) })
         }
         WorkerCommand::Help(help) => Message::Help(v1::Help {
-            lease: Some(tags.to_wire(&help.lease, Use::Help)),
-            spec: Some(help.work.spec().to_message()),
+            lease: Some(tags.to_wire(&help.lease, LeaseUse::Help)),
+            spec: Some(help.planned.spec().to_message()),
             profile: help.profile,
             trace,
         }),
-        WorkerCommand::Time { job, work } => Message::Time(v1::Time {
+        WorkerCommand::Time { job, planned } => Message::Time(v1::Time {
             job: job.0,
-            spec: Some(work.spec().to_message()),
+            spec: Some(planned.spec().to_message()),
         }),
     };
     v1::CoordinatorMessage {
@@ -101,12 +101,12 @@ pub(super) fn order(
     }
 }
 
-/// The id of a trace; empty where there is none.
+/// Returns the bytes of a trace's id, or no bytes without a trace.
 fn bytes_of(trace: Option<TraceId>) -> Vec<u8> {
     trace.map_or_else(Vec::new, |trace| trace.bytes().to_vec())
 }
 
-/// A scene's record.
+/// Converts a scene's record.
 pub(super) fn scene(record: &SceneRecord) -> v1::SceneInfo {
     let SceneRecord {
         digest,
@@ -121,13 +121,13 @@ pub(super) fn scene(record: &SceneRecord) -> v1::SceneInfo {
     }
 }
 
-/// Workers that cannot work on a job.
-pub(super) fn unable(unable: Unable) -> v1::UnableWorkers {
-    let Unable {
+/// Converts the description of workers that cannot work on a job.
+pub(super) fn ineligible(ineligible: Ineligible) -> v1::UnableWorkers {
+    let Ineligible {
         reason,
         workers,
         names,
-    } = unable;
+    } = ineligible;
     v1::UnableWorkers {
         reason,
         workers,
@@ -135,9 +135,9 @@ pub(super) fn unable(unable: Unable) -> v1::UnableWorkers {
     }
 }
 
-/// Who works on a tile.
-pub(super) fn team(team: Team) -> v1::Team {
-    let Team {
+/// Converts the workers of a tile.
+pub(super) fn team(team: TileWorkers) -> v1::Team {
+    let TileWorkers {
         tile,
         leader,
         has_begun,
@@ -151,7 +151,7 @@ pub(super) fn team(team: Team) -> v1::Team {
     }
 }
 
-/// What a submission would cost.
+/// Converts an estimate of a submission.
 pub(super) fn estimate(estimate: Estimate) -> v1::EstimateResponse {
     let Estimate {
         tiles,
@@ -186,14 +186,14 @@ pub(super) fn estimate(estimate: Estimate) -> v1::EstimateResponse {
     }
 }
 
-/// A job's summary.
+/// Converts a job's summary.
 pub(super) fn job(summary: &Summary) -> v1::Job {
     let record = &summary.record;
     let mut job = v1::Job {
         id: record.id.0,
         name: record.name.clone(),
-        // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
-        // large, and a list has many jobs.
+        // An unreadable specification is shown as absent, but the record keeps its bytes. Large parts such as
+        // viewpoints are removed, because a list has many jobs.
         spec: stored_spec::part(&record.spec).ok().map(|(mut spec, _)| {
             remove_large_parts(&mut spec);
             spec
@@ -221,11 +221,13 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         JobState::Queued => v1::JobState::Queued,
         JobState::Running => v1::JobState::Running,
         JobState::Paused => {
-            let reason = summary.lacks.map(|lacks| match lacks {
-                MissingBlob::Scene(_) => "its scene cannot be read; send it again with `sightline submit`",
+            let reason = summary.missing.map(|blob| match blob {
+                MissingBlob::Scene(_) => {
+                    "the job's scene cannot be read; send the scene again with `sightline submit`"
+                }
                 MissingBlob::Receivers(_) => {
-                    "its receivers cannot be read; send the receivers again with the `sightline ambient` \
-                     that made the job"
+                    "the job's receivers cannot be read; send the receivers again with the \
+                     `sightline ambient` that made the job"
                 }
             });
             job.reason = reason.unwrap_or_default().to_owned();
@@ -246,7 +248,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
     job
 }
 
-/// A connected worker.
+/// Converts the status of a connected worker.
 pub(super) fn member(member: WorkerStatus) -> v1::WorkerInfo {
     v1::WorkerInfo {
         name: member.name,
@@ -256,8 +258,8 @@ pub(super) fn member(member: WorkerStatus) -> v1::WorkerInfo {
         heard_at_ms: member.heard_at,
         draining: member.draining,
         trouble: member.trouble.unwrap_or_default().to_owned(),
-        tiles: member.tiles.into_iter().map(held).collect(),
-        helps: member.helps.map(held),
+        tiles: member.tiles.into_iter().map(held_tile).collect(),
+        helps: member.helps.map(held_tile),
         tiles_done: member.done.tiles,
         cells_done: member.done.cells,
         samples_done: member.done.samples,
@@ -265,7 +267,7 @@ pub(super) fn member(member: WorkerStatus) -> v1::WorkerInfo {
     }
 }
 
-/// A worker that is quarantined.
+/// Converts the record of a quarantined worker.
 pub(super) fn quarantined(record: QuarantineRecord) -> v1::QuarantinedWorker {
     let QuarantineRecord {
         worker,
@@ -279,7 +281,7 @@ pub(super) fn quarantined(record: QuarantineRecord) -> v1::QuarantinedWorker {
     }
 }
 
-fn held(held: LeasedTile) -> v1::HeldTile {
+fn held_tile(leased: LeasedTile) -> v1::HeldTile {
     let LeasedTile {
         job,
         tile,
@@ -287,7 +289,7 @@ fn held(held: LeasedTile) -> v1::HeldTile {
         since,
         cells,
         samples,
-    } = held;
+    } = leased;
     v1::HeldTile {
         job: job.0,
         tile: tile.0,
@@ -298,10 +300,10 @@ fn held(held: LeasedTile) -> v1::HeldTile {
     }
 }
 
-/// The state of a job, from the wire.
+/// Converts the state of a job from the wire.
 ///
 /// # Errors
-/// INVALID_ARGUMENT for a number that says nothing.
+/// INVALID_ARGUMENT if the number is not a state.
 pub(super) fn phase(state: v1::JobState) -> Result<JobPhase, Status> {
     Ok(match state {
         v1::JobState::Queued => JobPhase::Queued,
@@ -312,17 +314,17 @@ pub(super) fn phase(state: v1::JobState) -> Result<JobPhase, Status> {
         v1::JobState::Done => JobPhase::Done,
         v1::JobState::Unspecified => {
             return Err(Status::invalid_argument(
-                "states of jobs were given that there are not",
+                "the request contains an unknown state of a job",
             ));
         }
     })
 }
 
-/// How a tile stands, from the wire.
+/// Converts the state of a tile from the wire.
 ///
 /// # Errors
-/// INVALID_ARGUMENT for a number that says nothing.
-pub(super) fn standing(state: v1::TileState) -> Result<TileStatus, Status> {
+/// INVALID_ARGUMENT if the number is not a state.
+pub(super) fn tile_status(state: v1::TileState) -> Result<TileStatus, Status> {
     Ok(match state {
         v1::TileState::Waiting => TileStatus::Waiting,
         v1::TileState::Ready => TileStatus::Ready,
@@ -332,13 +334,13 @@ pub(super) fn standing(state: v1::TileState) -> Result<TileStatus, Status> {
         v1::TileState::SetAside => TileStatus::SetAside,
         v1::TileState::Unspecified => {
             return Err(Status::invalid_argument(
-                "states of tiles were given that there are not",
+                "the request contains an unknown state of a tile",
             ));
         }
     })
 }
 
-/// A tile of a job.
+/// Converts a tile of a job.
 pub(super) fn tile(view: TileView) -> v1::TileInfo {
     let failure = |f: sightline_records::TileFailure| v1::TileFailure {
         worker: f.worker,
@@ -346,7 +348,7 @@ pub(super) fn tile(view: TileView) -> v1::TileInfo {
     };
     v1::TileInfo {
         tile: view.tile.0,
-        state: view.standing as i32,
+        state: view.status as i32,
         r#box: view
             .bounds
             .map_or_else(Vec::new, |b| b.iter().flat_map(|p| p.to_array()).collect()),
@@ -365,21 +367,21 @@ pub(super) fn tile(view: TileView) -> v1::TileInfo {
     }
 }
 
-/// Something that happened.
+/// Converts an event.
 pub(super) fn event(entry: &Entry) -> v1::Event {
     let kind = match entry.what.kind {
-        Kind::Submitted => v1::EventKind::Submitted,
-        Kind::Job => v1::EventKind::Job,
-        Kind::Leased => v1::EventKind::Leased,
-        Kind::Round => v1::EventKind::Round,
-        Kind::Done => v1::EventKind::Done,
-        Kind::TakenBack => v1::EventKind::TakenBack,
-        Kind::Failed => v1::EventKind::Failed,
-        Kind::SetAside => v1::EventKind::SetAside,
-        Kind::Conflict => v1::EventKind::Conflict,
-        Kind::Worker => v1::EventKind::Worker,
-        Kind::Coordinator => v1::EventKind::Coordinator,
-        Kind::Check => v1::EventKind::Check,
+        EventKind::Submitted => v1::EventKind::Submitted,
+        EventKind::Job => v1::EventKind::Job,
+        EventKind::Leased => v1::EventKind::Leased,
+        EventKind::Round => v1::EventKind::Round,
+        EventKind::Done => v1::EventKind::Done,
+        EventKind::TakenBack => v1::EventKind::TakenBack,
+        EventKind::Failed => v1::EventKind::Failed,
+        EventKind::SetAside => v1::EventKind::SetAside,
+        EventKind::Conflict => v1::EventKind::Conflict,
+        EventKind::Worker => v1::EventKind::Worker,
+        EventKind::Coordinator => v1::EventKind::Coordinator,
+        EventKind::Check => v1::EventKind::Check,
     };
     v1::Event {
         number: entry.number,

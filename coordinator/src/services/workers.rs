@@ -1,4 +1,4 @@
-//! The `Workers` service: one stream per worker, scenes and packs out, results in.
+//! The `Workers` service: a stream per worker, downloads of scenes and packs, and uploads of tile outputs.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,27 +16,28 @@ use sightline_traces::TraceId;
 use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
 
+use super::authorize::caller;
 use super::blocking::{blocking, blocking_one_of, large, later};
 use super::connections::Peer;
-use super::guard::caller;
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{Answer, crews, status, wire};
+use crate::coordinator::Coordinator;
 use crate::dispatch::follow_ups::Waiting;
 use crate::dispatch::outbox::Outbox;
 use crate::jobs::suspend;
-use crate::outputs::commit::{self, MAX_LIGHT, Origin, ResultError, UploadHeader, Weight};
-use crate::quota::Turn;
-use crate::state::{Coordinator, MissingBlob};
+use crate::jobs::suspensions::MissingBlob;
+use crate::outputs::commit::{self, MAX_LIGHT, OutputBytes, ResultError, SizeLimit, UploadHeader};
+use crate::quota::QueueTurn;
 use crate::telemetry::spans::Spans;
-use crate::workers::lease_tags::{LeaseTags, Use};
+use crate::workers::lease_tags::{LeaseTags, LeaseUse};
 use crate::workers::sessions::{self, Message};
 
-/// Messages to a worker that wait until it reads them; further ones are lost.
+/// Maximum number of messages that wait for a worker. Further messages are lost.
 const WAITING: usize = 64;
-/// Most numerics profiles of a worker.
+/// Maximum number of numerics profiles of a worker.
 const MAX_PROFILES: usize = 16;
-/// Most leases that a worker may name when it reconnects.
+/// Maximum number of leases that a worker may name when it reconnects.
 const MAX_HELD: usize = 64;
 
 /// Serves [`v1::workers_server::Workers`].
@@ -44,7 +45,7 @@ pub(crate) struct WorkersService(pub(crate) Arc<Coordinator>);
 
 type Messages = mpsc::Sender<Outgoing>;
 
-/// A message to a worker. Orders are encoded when they are sent, outside of the scheduler's lock.
+/// A message to a worker. Commands are encoded when they are sent, outside the scheduler's lock.
 enum Outgoing {
     WorkerCommand(WorkerCommand, Option<TraceId>),
     Welcome(v1::Welcome),
@@ -54,7 +55,7 @@ enum Outgoing {
 impl Outgoing {
     fn encode(self, tags: &LeaseTags) -> Result<v1::CoordinatorMessage, Status> {
         match self {
-            Self::WorkerCommand(order, trace) => Ok(wire::order(tags, order, trace)),
+            Self::WorkerCommand(command, trace) => Ok(wire::command(tags, command, trace)),
             Self::Welcome(welcome) => {
                 let welcome = v1::coordinator_message::Message::Welcome(welcome);
                 Ok(v1::CoordinatorMessage {
@@ -80,32 +81,34 @@ impl v1::workers_server::Workers for WorkersService {
         let (first, inbound) = (first.0.and_then(|m| m.message), first.1);
         let Some(FromWorker::Hello(hello)) = first else {
             return Err(Status::invalid_argument(
-                "a worker's first message must be Hello",
+                "the first message of a worker must be Hello",
             ));
         };
         check_hello(&hello)?;
         let certificate = certificate.as_ref().map(|shown| shown.as_ref().as_ref());
         let identity = self
             .0
+            .workers
             .identities
             .identify(&caller, certificate, &hello.identity);
         let identity = identity.map_err(|e| status::of_store(&e))?;
         let (out, outbound) = mpsc::channel(WAITING);
         let (answer, joined) = oneshot::channel();
-        // A task of its own from the start: a worker that has joined must leave, even when this call is
-        // dropped.
+        // The session needs its own task from the start: a worker that has joined must leave, even if this
+        // call is dropped.
         tokio::spawn(session(
             Arc::clone(&self.0),
-            (hello, identity),
+            hello,
+            identity,
             inbound,
             out,
             answer,
         ));
         let stopping =
-            |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+            |_| Status::unavailable("the coordinator is stopping; try again after its restart");
         joined.await.map_err(stopping)??;
         let outbound = tokio_stream::wrappers::ReceiverStream::new(outbound);
-        let tags = self.0.lease_tags.clone();
+        let tags = self.0.workers.lease_tags.clone();
         Ok(Response::new(Box::pin(
             outbound.map(move |message| message.encode(&tags)),
         )))
@@ -135,7 +138,7 @@ impl v1::workers_server::Workers for WorkersService {
             fell_back,
         } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
-        // Receivers come this way, too. A worker that needs a lost pack computes it again.
+        // Receivers are downloaded this way, too. A worker that needs a lost pack computes the pack again.
         self.noticing(answer, &digest, MissingBlob::Receivers).await
     }
 
@@ -151,12 +154,17 @@ impl v1::workers_server::Workers for WorkersService {
         })) = first
         else {
             return Err(Status::invalid_argument(
-                "a member's first message must be Enter, with a lease",
+                "the first message of a crew member must be Enter, with a lease",
             ));
         };
-        let to = if leads { Use::Hold } else { Use::Help };
+        let to = if leads {
+            LeaseUse::Hold
+        } else {
+            LeaseUse::Help
+        };
         let lease = self
             .0
+            .workers
             .lease_tags
             .check(&lease, to)
             .map_err(|e| status::of_forged(&e))?;
@@ -164,19 +172,20 @@ impl v1::workers_server::Workers for WorkersService {
         let c = Arc::clone(&self.0);
         if leads {
             let (answer, opened) = oneshot::channel();
-            // A task of its own from the start: a crew that is open must end, even when this call is dropped.
-            // Nobody waits for the answer then.
+            // The stream needs its own task from the start: an open crew must end, even if this call is
+            // dropped and its answer is lost.
             tokio::spawn(async move {
-                // The outcomes of an earlier leader are counted on the disk.
+                // Counting the outcomes of an earlier leader reads the disk.
                 match blocking(&c, move |c| Ok(sessions::lead(c, lease))).await {
-                    Ok(Some((room, told, follow_ups))) => {
+                    Ok(Some((channel, messages, follow_ups))) => {
                         later(&c, follow_ups);
                         let _ = answer.send(Ok(()));
-                        crews::lead(c, room, told, phases, inbound, out).await;
+                        crews::lead(c, channel, messages, phases, inbound, out).await;
                     }
                     Ok(None) => {
-                        let _ =
-                            answer.send(Err(Status::not_found("the lease is not valid any more")));
+                        let _ = answer.send(Err(Status::not_found(
+                            "the lease has ended, is a check, or has another leader",
+                        )));
                     }
                     Err(s) => {
                         let _ = answer.send(Err(s));
@@ -184,13 +193,13 @@ impl v1::workers_server::Workers for WorkersService {
                 }
             });
             let stopping =
-                |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+                |_| Status::unavailable("the coordinator is stopping; try again after its restart");
             opened.await.map_err(stopping)??;
         } else {
-            let room = c.crews.find(&lease);
-            let room =
-                room.ok_or_else(|| Status::not_found("nobody leads a crew under this lease"))?;
-            tokio::spawn(crews::help(c, room, inbound, out));
+            let channel = c.workers.crews.find(&lease);
+            let channel = channel
+                .ok_or_else(|| Status::not_found("no worker leads a crew with this lease"))?;
+            tokio::spawn(crews::help(c, channel, inbound, out));
         }
         Ok(Response::new(Box::pin(
             tokio_stream::wrappers::ReceiverStream::new(outbound),
@@ -205,11 +214,11 @@ impl v1::workers_server::Workers for WorkersService {
         let first = parts.next().await.transpose()?.and_then(|p| p.part);
         let Some(v1::result_part::Part::Header(header)) = first else {
             return Err(Status::invalid_argument(
-                "a result's first part must be its header",
+                "the first part of a result must be its header",
             ));
         };
         if header.fell_back {
-            self.0.metrics.fell_back("write");
+            self.0.telemetry.metrics.fell_back("write");
         }
         if !header.staged.is_empty() {
             return self.commit_staged(header, parts).await;
@@ -222,22 +231,23 @@ impl v1::workers_server::Workers for WorkersService {
         let spool = filled(&self.0, spool, None, &mut parts, |part| match part.part {
             Some(v1::result_part::Part::Chunk(chunk)) => Ok(chunk),
             _ => Err(Status::invalid_argument(
-                "after a result's header only chunks may come",
+                "only chunks may follow the header of a result",
             )),
         })
         .await?;
         if spool.digest().map_err(|e| status::of_spool(&e))? != announced.digest {
             return Err(status::of_result(&ResultError::Digest));
         }
-        // A large output waits on the disk until no other one is in memory, and others until few are checked.
+        // A large output waits on the disk until no other large output is in memory. Smaller outputs wait
+        // until few are being checked.
         let large = large(&self.0, "", announced.bytes > MAX_LIGHT).await?;
         let spool = Mutex::new(spool);
-        self.commit(large, announced, move |c, weight| {
+        self.commit(large, announced, move |c, limit| {
             let bytes = spool
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
-                .bytes(c)?;
-            commit::put(c, &announced, &Origin::Sent(&bytes), weight)
+                .bytes(&*c.blobs)?;
+            commit::put(c, &announced, &OutputBytes::Sent(&bytes), limit)
         })
         .await
     }
@@ -263,11 +273,11 @@ impl v1::workers_server::Workers for WorkersService {
 }
 
 impl WorkersService {
-    /// A blob for a worker.
+    /// Streams a blob to a worker.
     async fn fetch(&self, digest: &[u8], direct: bool, fell_back: bool) -> Answer<ChunkStream> {
         let d = wire::digest(digest)?;
         if fell_back {
-            self.0.metrics.fell_back("read");
+            self.0.telemetry.metrics.fell_back("read");
         }
         let stream = if direct {
             stream_or_address(&self.0, d).await
@@ -277,12 +287,12 @@ impl WorkersService {
         stream.map(Response::new)
     }
 
-    /// Pauses the jobs that need a blob which turns out to be lost.
+    /// Pauses the jobs that need a blob if `answer` shows that the blob is lost.
     async fn noticing(
         &self,
         answer: Answer<ChunkStream>,
         digest: &[u8],
-        lacks: fn(Digest) -> MissingBlob,
+        missing: fn(Digest) -> MissingBlob,
     ) -> Answer<ChunkStream> {
         if let Err(refused) = &answer
             && matches!(
@@ -290,10 +300,10 @@ impl WorkersService {
                 tonic::Code::DataLoss | tonic::Code::NotFound
             )
         {
-            let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
+            let (missing, why) = (missing(wire::digest(digest)?), refused.message().to_owned());
             blocking(&self.0, move |c| {
                 let (_, follow_ups) =
-                    suspend::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
+                    suspend::suspend_jobs(c, missing, &why).map_err(|e| status::of_store(&e))?;
                 follow_ups.run(c);
                 Ok(())
             })
@@ -302,7 +312,7 @@ impl WorkersService {
         answer
     }
 
-    /// Commits an output that its worker has written by itself.
+    /// Commits an output that its worker has written directly to the blob store.
     async fn commit_staged(
         &self,
         header: v1::ResultHeader,
@@ -311,36 +321,37 @@ impl WorkersService {
         let staged = staged(&self.0, header.lease.as_ref(), &header.staged, header.bytes)?;
         if parts.next().await.transpose()?.is_some() {
             return Err(Status::invalid_argument(
-                "an output that is staged has no chunks",
+                "a staged output must not have chunks",
             ));
         }
         let announced = announced(&self.0, &header)?;
         let large = large(&self.0, "", staged.bytes > MAX_LIGHT).await?;
-        self.commit(large, announced, move |c, weight| {
-            commit::put(c, &announced, &Origin::Staged(&staged), weight)
+        self.commit(large, announced, move |c, limit| {
+            commit::put(c, &announced, &OutputBytes::Staged(&staged), limit)
         })
         .await
     }
 
-    /// Commits an output by `put`. One that unpacks to much is checked again, while no other large one is.
+    /// Commits an output with `put`. An output that is large when unpacked is checked again, while no other
+    /// large output is checked.
     async fn commit(
         &self,
-        right: Option<Turn>,
+        turn: Option<QueueTurn>,
         announced: UploadHeader,
-        put: impl Fn(&Arc<Coordinator>, Weight) -> Result<(), ResultError> + Send + Sync + 'static,
+        put: impl Fn(&Arc<Coordinator>, SizeLimit) -> Result<(), ResultError> + Send + Sync + 'static,
     ) -> Answer<v1::PutResultResponse> {
         let put = Arc::new(put);
-        let mut right = right;
+        let mut turn = turn;
         loop {
-            let (put, held) = (Arc::clone(&put), right.take());
-            let weight = if held.is_some() {
-                Weight::Any
+            let (put, current_turn) = (Arc::clone(&put), turn.take());
+            let limit = if current_turn.is_some() {
+                SizeLimit::Any
             } else {
-                Weight::Light
+                SizeLimit::Light
             };
-            let committed = blocking_one_of(&self.0, &self.0.checks, move |c| {
-                let _held = held;
-                match put(c, weight) {
+            let committed = blocking_one_of(&self.0, &self.0.uploads.checks, move |c| {
+                let _turn = current_turn;
+                match put(c, limit) {
                     Ok(()) => Ok(true),
                     Err(ResultError::Output(OutputError::Large)) => Ok(false),
                     Err(e) => Err(status::of_result(&e)),
@@ -350,13 +361,13 @@ impl WorkersService {
                 return Ok(Response::new(v1::PutResultResponse {}));
             }
             tracing::debug!("the output of tile {} is large", announced.lease.tile);
-            right = large(&self.0, "", true).await?;
+            turn = large(&self.0, "", true).await?;
         }
     }
 }
 
-/// Returns the first message of a stream that stays open, and the stream. Until its first message a stream
-/// counts as idle.
+/// Returns the first message of a stream that stays open, and the stream. Until its first message, the stream
+/// has the time limit of an idle connection.
 async fn first<M>(r: Request<Streaming<M>>) -> Result<(Option<M>, Streaming<M>), Status> {
     let limit = r.extensions().get::<Peer>().map(|peer| peer.limits().idle);
     let mut inbound = r.into_inner();
@@ -371,11 +382,12 @@ async fn first<M>(r: Request<Streaming<M>>) -> Result<(Option<M>, Streaming<M>),
     Ok((first.transpose()?, inbound))
 }
 
-/// Returns the lease of a result, if it was given.
+/// Returns the lease that a result names, after a check of the lease's tag.
 fn result_lease(c: &Coordinator, lease: Option<&v1::Lease>) -> Result<Lease, Status> {
     let lease = lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
-    c.lease_tags
-        .check(lease, Use::Hold)
+    c.workers
+        .lease_tags
+        .check(lease, LeaseUse::Hold)
         .map_err(|e| status::of_forged(&e))
 }
 
@@ -387,7 +399,8 @@ fn staged(
 ) -> Result<Staged, Status> {
     let lease = result_lease(c, lease)?;
     let sha256 = sha256.try_into();
-    let sha256 = sha256.map_err(|_| Status::invalid_argument("a result's SHA-256 has 32 bytes"))?;
+    let sha256 = sha256
+        .map_err(|_| Status::invalid_argument("the SHA-256 of a result must have 32 bytes"))?;
     Ok(Staged {
         lease,
         sha256,
@@ -407,31 +420,31 @@ fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<UploadHeader,
 
 fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
     if hello.protocol != PROTOCOL {
-        // The field is of version 2.
+        // Version 1 of the protocol does not have this field.
         let theirs = hello.protocol.max(1);
         return Err(Status::invalid_argument(format!(
-            "this worker ({}) speaks version {theirs} of the protocol, the coordinator version {PROTOCOL}; \
-             run the same version of sightline on both",
+            "this worker ({}) uses version {theirs} of the protocol, but the coordinator uses \
+             version {PROTOCOL}; run the same version of sightline on both",
             hello.version
         )));
     }
     if hello.algorithm != ALGORITHM_VERSION {
         return Err(Status::invalid_argument(format!(
-            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run \
-             the same version of sightline on both",
+            "this worker ({}) uses version {} of the algorithm, but the coordinator uses version \
+             {ALGORITHM_VERSION}; run the same version of sightline on both",
             hello.version, hello.algorithm
         )));
     }
     let printable = |s: &str| s.chars().all(|c| !c.is_control() && c != '"' && c != '\\');
     if hello.name.is_empty() || hello.name.len() > MAX_WORKER_BYTES || !printable(&hello.name) {
         return Err(Status::invalid_argument(format!(
-            "a worker's name must have 1 to {MAX_WORKER_BYTES} bytes and no quotes or control characters; \
-             give another --name"
+            "the name of a worker must have 1 to {MAX_WORKER_BYTES} bytes and no quotes or control \
+             characters; give another --name"
         )));
     }
     if hello.version.len() > MAX_IDENTIFIER_BYTES || !printable(&hello.version) {
         return Err(Status::invalid_argument(
-            "a worker's version is too long or has control characters",
+            "the version of a worker is too long or has quotes or control characters",
         ));
     }
     let fine = |p: &String| p.len() <= MAX_IDENTIFIER_BYTES && printable(p) && p.is_ascii();
@@ -444,43 +457,45 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
         )));
     }
     if hello.held.len() > MAX_HELD {
-        return Err(Status::invalid_argument(
-            "a worker names more leases than it can hold",
-        ));
+        return Err(Status::invalid_argument(format!(
+            "a worker that reconnects may name at most {MAX_HELD} leases"
+        )));
     }
     Ok(())
 }
 
-/// The outgoing half of a worker's stream.
+/// The outbox of a worker on the wire.
 struct WireOutbox(Messages, Arc<Spans>);
 
 impl Outbox for WireOutbox {
-    fn offer(&self, order: WorkerCommand) -> bool {
-        let trace = match &order {
+    fn offer(&self, command: WorkerCommand) -> bool {
+        let trace = match &command {
             WorkerCommand::Grant(grant) => self.1.trace(grant.lease.job),
             WorkerCommand::Help(help) => self.1.trace(help.lease.job),
             WorkerCommand::Revoke(_) | WorkerCommand::Time { .. } => None,
         };
         self.0
-            .try_send(Outgoing::WorkerCommand(order, trace))
+            .try_send(Outgoing::WorkerCommand(command, trace))
             .is_ok()
     }
 }
 
-/// A worker's stream, until it ends. Reports through `answer` whether the worker has joined.
+/// Serves a worker's stream until it ends. Reports through `answer` if the worker has joined.
 async fn session(
     c: Arc<Coordinator>,
-    (hello, (identity, shown)): (v1::Hello, (WorkerIdentity, Vec<u8>)),
+    hello: v1::Hello,
+    identified: (WorkerIdentity, Vec<u8>),
     inbound: Streaming<v1::WorkerMessage>,
     out: Messages,
     answer: oneshot::Sender<Result<(), Status>>,
 ) {
+    let (identity, shown) = identified;
     let name = hello.name.clone();
-    // A lease of another store is none of this coordinator's: the worker stops its tile.
+    // This coordinator did not grant a lease of another store, so the worker stops its tile.
     let held = hello
         .held
         .iter()
-        .filter_map(|lease| c.lease_tags.check(lease, Use::Hold).ok());
+        .filter_map(|lease| c.workers.lease_tags.check(lease, LeaseUse::Hold).ok());
     let intro = Introduction {
         signature: signature(&hello.name, identity),
         name: hello.name,
@@ -490,7 +505,7 @@ async fn session(
         held: held.collect(),
         helps: hello.helps,
     };
-    let outbox = Box::new(WireOutbox(out.clone(), Arc::clone(&c.spans)));
+    let outbox = Box::new(WireOutbox(out.clone(), Arc::clone(&c.telemetry.spans)));
     let joined = match sessions::join(&c, intro, outbox) {
         Ok((joined, follow_ups)) => {
             later(&c, follow_ups);
@@ -498,25 +513,25 @@ async fn session(
         }
         Err(e) => {
             let s = status::of_name(&e);
-            tracing::warn!("worker {name} is refused: {}", s.message());
-            // Nobody waits for the answer when the worker has gone.
+            tracing::warn!("worker {name} is rejected: {}", s.message());
+            // The send fails if the worker has disconnected.
             let _ = answer.send(Err(s));
             return;
         }
     };
-    // A worker that has joined must leave, also when the coordinator stops in between.
+    // A worker that has joined must leave, also if the coordinator stops in between.
     let leaving = Leaving {
         c: Arc::clone(&c),
         worker: joined.worker,
         name: name.clone(),
     };
-    // As above.
+    // The send fails if the worker has disconnected.
     let _ = answer.send(Ok(()));
     listen(&c, &name, &joined, shown, inbound, &out).await;
     drop(leaving);
 }
 
-/// Lets a worker go when its session ends, however it ends.
+/// A guard that removes a worker from the scheduler when its session ends for any reason.
 struct Leaving {
     c: Arc<Coordinator>,
     worker: WorkerId,
@@ -529,7 +544,7 @@ impl Drop for Leaving {
     }
 }
 
-/// Welcomes a worker and passes its messages on, until its stream ends or a message cannot be acted on.
+/// Welcomes a worker and handles its messages, until its stream ends or a message is invalid.
 async fn listen(
     c: &Arc<Coordinator>,
     name: &str,
@@ -540,11 +555,11 @@ async fn listen(
 ) {
     let welcome = v1::Welcome {
         epoch: joined.epoch.0,
-        lease_millis: c.leases.ttl.as_millis() as u32,
+        lease_millis: c.config.leases.ttl.as_millis() as u32,
         kept: joined
             .kept
             .iter()
-            .map(|lease| c.lease_tags.to_wire(lease, Use::Hold))
+            .map(|lease| c.workers.lease_tags.to_wire(lease, LeaseUse::Hold))
             .collect(),
         direct: c.blobs.direct().map(|direct| v1::Direct {
             ca: direct.authorities().to_vec(),
@@ -570,7 +585,7 @@ async fn listen(
                 let failure = matches!(message, Message::Failed(_));
                 let follow_ups = sessions::heard(c, worker, message);
                 if failure && !follow_ups.is_empty() {
-                    // Its next message waits until the failure is on record; nobody else does.
+                    // Only the next message of this worker waits until the failure is recorded.
                     let waiting = Waiting::new(follow_ups);
                     blocking(c, |c| {
                         waiting.take().run(c);
@@ -586,23 +601,26 @@ async fn listen(
         };
         if let Err(s) = handled {
             tracing::error!("worker {name}: {}", s.message());
-            // The worker reconnects when its stream breaks; it may have gone already.
+            // The worker reconnects after its stream breaks. It may have disconnected already.
             let _ = out.send(Outgoing::Failure(s)).await;
             return;
         }
     }
 }
 
-/// A worker's message; `None` when it says nothing.
+/// Converts a worker's message. Returns `None` for a message without content.
 fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Status> {
     let given = |lease, to| {
-        c.lease_tags
+        c.workers
+            .lease_tags
             .check(&lease, to)
             .map_err(|e| status::of_forged(&e))
     };
     Ok(Some(match message {
         FromWorker::Hello(_) => {
-            return Err(Status::invalid_argument("a second Hello on one stream"));
+            return Err(Status::invalid_argument(
+                "a worker sent a second Hello on one stream; send only one Hello per stream",
+            ));
         }
         FromWorker::Want(w) => Message::Want(w.tiles),
         FromWorker::Draining(_) => Message::Draining,
@@ -611,7 +629,7 @@ fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Stat
                 return Ok(None);
             };
             Message::Progress(Progress {
-                lease: given(lease, Use::Hold)?,
+                lease: given(lease, LeaseUse::Hold)?,
                 cells: p.cells,
                 samples: p.samples,
             })
@@ -620,7 +638,7 @@ fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Stat
             let Some(lease) = f.lease else {
                 return Err(Status::invalid_argument("a failure must name its lease"));
             };
-            let lease = given(lease, Use::Hold)?;
+            let lease = given(lease, LeaseUse::Hold)?;
             Message::Failed(Failure {
                 lease,
                 reason: f.reason,
@@ -631,7 +649,7 @@ fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Stat
             let Some(lease) = h.lease else {
                 return Ok(None);
             };
-            Message::Helped(given(lease, Use::Help)?)
+            Message::Helped(given(lease, LeaseUse::Help)?)
         }
         FromWorker::Timed(t) => Message::Timed(JobId(t.job), wire::times(t.times)),
     }))

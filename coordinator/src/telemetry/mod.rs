@@ -4,3 +4,4 @@ pub(crate) mod events;
 pub(crate) mod metrics;
 pub(crate) mod readiness;
 pub(crate) mod spans;
+pub(crate) mod state;

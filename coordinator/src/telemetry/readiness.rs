@@ -1,27 +1,32 @@
-//! Whether new work is welcome: liveness says that the process runs, readiness that it can do its work.
+//! The readiness of the coordinator for new work. Liveness states that the process runs, readiness that the
+//! process can do its work.
 //!
-//! Not ready is a coordinator whose store or blobs cannot be written, whose disk is full, or that has paused
-//! leasing because of such a fault.
+//! A coordinator is not ready if its store or its blobs cannot be written, if its disk is full, or if it has
+//! paused leasing because of such a fault.
 
 use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
-use crate::kept::NotReady;
-use crate::state::Coordinator;
+use crate::coordinator::Coordinator;
 use crate::telemetry::metrics::free_bytes;
+use crate::telemetry::state::NotReady;
 
-/// Least free space, in bytes.
+/// Minimum free space on the disk, in bytes.
 const LEAST_FREE: u64 = 64 << 20;
-/// How long the outcome of a trial counts.
+/// The time for which the outcome of a write test is valid.
 const EVERY: Duration = Duration::from_secs(10);
 
-/// Whether the coordinator is ready; the error has every reason why it is not. Writes a small blob, once
-/// every few seconds at most. Blocks on the disk.
+/// Checks that the coordinator is ready. Writes a small blob at most once every few seconds, so it blocks on
+/// the disk.
 ///
 /// # Errors
-/// The reasons, a sentence each.
+/// The reasons why the coordinator is not ready, one sentence each.
 pub(crate) fn readiness(c: &Coordinator) -> Result<(), NotReady> {
-    let mut last = c.last_trial.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut last = c
+        .telemetry
+        .last_test
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
     if let Some((at, outcome)) = &*last
         && at.elapsed() < EVERY
     {
@@ -34,11 +39,11 @@ pub(crate) fn readiness(c: &Coordinator) -> Result<(), NotReady> {
 
 fn try_all(c: &Coordinator) -> Result<(), NotReady> {
     let mut reasons = NotReady::new();
-    if let Some(free) = c.data_dir.as_deref().and_then(free_bytes)
+    if let Some(free) = c.config.data_dir.as_deref().and_then(free_bytes)
         && free < LEAST_FREE
     {
         reasons.push(format!(
-            "the disk has {} MiB left; free some, or add a larger one",
+            "the disk has {} MiB left; free some space, or use a larger disk",
             free >> 20
         ));
     }
@@ -53,12 +58,13 @@ fn try_all(c: &Coordinator) -> Result<(), NotReady> {
     if let Err(e) = written {
         reasons.push(format!("blobs cannot be written: {e}"));
     }
-    if let Err(e) = c.store.may_change() {
+    if let Err(e) = c.records.may_change() {
         reasons.push(format!("the store cannot be written: {e}"));
     }
-    if c.lock().scheduler.is_paused() {
+    if c.dispatcher.read(|scheduler| scheduler.is_paused()) {
         reasons.push(
-            "no tiles are granted for a while, because the store could not be written".to_owned(),
+            "no tiles are granted for 10 s, because the store or the blobs could not be written"
+                .to_owned(),
         );
     }
     if reasons.is_empty() {

@@ -1,9 +1,9 @@
-//! The spans that a coordinator sends of its jobs, where it was told to send traces.
+//! The spans that a coordinator sends about its jobs, if traces are enabled.
 //!
-//! They are made of what the scheduler was told and of what it decided, at the moment of it; the scheduler
-//! itself knows nothing of them. What is open is in memory alone. After a restart the job has the same trace,
-//! since that is derived from its record; a lease that its worker has kept begins anew, and the others of
-//! before are lost with those who had begun them.
+//! Spans are created when the scheduler receives an event or makes a decision; the scheduler itself does not
+//! depend on them. Open spans are only in memory. After a restart a job has the same trace, because its trace
+//! is derived from its record. The span of a lease that its worker has kept starts again. The other open
+//! spans are lost.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
@@ -11,10 +11,10 @@ use std::time::Duration;
 
 use sightline_records::ids::{JobId, Lease, LeaseId, TileIndex, worker_name};
 use sightline_records::{JobPhase, JobRecord, JobState, TileStats};
-use sightline_scheduler::{Event, Job, Scheduler};
-use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
+use sightline_scheduler::{Event, OpenJob, Scheduler};
+use sightline_traces::{Span, SpanId, SpanTime, TraceId, Traces};
 
-/// Attributes. Their words are those of the events.
+/// Names of the attributes of spans.
 const JOB: &str = "sightline.job";
 const TILE: &str = "sightline.tile";
 const TILES: &str = "sightline.tiles";
@@ -25,21 +25,21 @@ const CELLS: &str = "sightline.cells";
 const SAMPLES: &str = "sightline.samples";
 const BYTES: &str = "sightline.bytes";
 
-/// How a lease ended, or what came of its output.
+/// The reasons for the end of a lease, or the fate of its output.
 pub(crate) const DONE: &str = "done";
 pub(crate) const TAKEN_BACK: &str = "taken_back";
 pub(crate) const FAILED: &str = "failed";
 pub(crate) const CONFLICT: &str = "conflict";
 pub(crate) const CHECKED: &str = "checked";
 
-/// Jobs that are remembered after their end. One that is taken up anew after so many others is told of as
-/// after a restart.
+/// Maximum number of ended jobs that are remembered. A job that is reopened after this many others is handled
+/// as after a restart.
 const MOST_ENDED: usize = 1 << 14;
 
-/// Another trace's span that led to a submission.
+/// A span of another trace that caused a submission.
 pub(crate) type Cause = Option<(TraceId, SpanId)>;
 
-/// What is open, and where spans go.
+/// The open spans, and the destination of spans.
 #[derive(Default)]
 pub(crate) struct Spans {
     traces: OnceLock<Traces>,
@@ -48,44 +48,44 @@ pub(crate) struct Spans {
 
 #[derive(Default)]
 struct Open {
-    /// Jobs that have not ended.
+    /// The jobs that have not ended.
     jobs: BTreeMap<JobId, JobSpans>,
-    /// Jobs of which a span says that they have ended, at most [`MOST_ENDED`].
+    /// The jobs whose end is recorded in a span, at most [`MOST_ENDED`].
     ended: BTreeSet<JobId>,
 }
 
 struct JobSpans {
     trace: TraceId,
-    /// Since when its tiles may be leased.
-    free: Begun,
+    /// The time from which the job's tiles may be leased.
+    free: SpanTime,
     is_paused: bool,
-    /// Whether the span of the whole job was sent before it was taken up once more.
+    /// True if the span of the whole job was sent before the job was reopened.
     again: bool,
-    /// Whether tiles need others.
+    /// True if tiles depend on other tiles.
     has_needs: bool,
     leases: BTreeMap<Lease, Leased>,
-    /// Leases whose spans were sent. An output counts however late it comes, and may come twice.
+    /// The leases whose spans were sent. A late output still counts, and may arrive twice.
     spent: BTreeSet<LeaseId>,
-    /// When tiles were free again, or done where others need them.
-    moved: BTreeMap<TileIndex, Begun>,
+    /// The times at which tiles were free again, or done if other tiles depend on them.
+    moved: BTreeMap<TileIndex, SpanTime>,
 }
 
 struct Leased {
-    begun: Begun,
+    begun: SpanTime,
     worker: String,
-    /// Whether it began in an earlier process, at an unknown time.
+    /// True if the lease began in an earlier process, at an unknown time.
     is_older: bool,
 }
 
 impl JobSpans {
-    fn span(&self, name: &'static str, begun: Begun, job: JobId) -> Span {
-        Span::of(self.trace, name, begun)
+    fn span(&self, name: &'static str, begun: SpanTime, job: JobId) -> Span {
+        Span::new(self.trace, name, begun)
             .below(self.trace.job())
             .number(JOB, job.0)
     }
 
-    /// Since when a tile has waited for a worker.
-    fn waits_since(&self, tile: TileIndex, needs: &[u32]) -> Begun {
+    /// Returns the time from which a tile has waited for a worker.
+    fn waits_since(&self, tile: TileIndex, needs: &[u32]) -> SpanTime {
         let needed = needs.iter().map(|need| TileIndex(*need));
         let moved = needed
             .chain([tile])
@@ -93,13 +93,13 @@ impl JobSpans {
         moved.fold(self.free, |since, moved| since.max(*moved))
     }
 
-    /// Ends a lease, if it is open.
-    fn end_lease(&mut self, traces: &Traces, lease: &Lease, how: &'static str, now: Begun) {
+    /// Sends the span of a lease if the lease is open.
+    fn end_lease(&mut self, traces: &Traces, lease: &Lease, how: &'static str, now: SpanTime) {
         let Some(leased) = self.leases.remove(lease) else {
             return;
         };
         self.spent.insert(lease.id);
-        let span = Span::of(self.trace, "lease", leased.begun)
+        let span = Span::new(self.trace, "lease", leased.begun)
             .known_as(lease_id(self.trace, lease))
             .below(self.trace.job())
             .number(JOB, lease.job.0)
@@ -113,8 +113,8 @@ impl JobSpans {
         }
     }
 
-    /// Ends all leases for which `ends` holds.
-    fn end_leases(&mut self, traces: &Traces, now: Begun, ends: impl Fn(&Lease) -> bool) {
+    /// Sends the spans of all leases for which `ends` returns true.
+    fn end_leases(&mut self, traces: &Traces, now: SpanTime, ends: impl Fn(&Lease) -> bool) {
         let leases: Vec<Lease> = self.leases.keys().copied().filter(ends).collect();
         leases
             .iter()
@@ -127,7 +127,7 @@ fn lease_id(trace: TraceId, lease: &Lease) -> SpanId {
 }
 
 impl Spans {
-    /// Sends spans from now on. Only the first one counts.
+    /// Sends spans from now on. Only the first call has an effect.
     pub(crate) fn send_to(&self, traces: Traces) {
         drop(self.traces.set(traces));
     }
@@ -137,23 +137,23 @@ impl Spans {
     }
 
     fn open(&self) -> MutexGuard<'_, Open> {
-        // A span may be lost with a panic, nothing else.
+        // A panic may lose a span, but no other state.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The trace of a job; `None` where none are sent.
+    /// Returns the trace of a job, or `None` if traces are disabled.
     pub(crate) fn trace_of(&self, job: &JobRecord) -> Option<TraceId> {
         self.on()
             .map(|_| TraceId::of_job(&job.key, job.id.0, job.submitted_at_ms))
     }
 
-    /// The trace of a job that has not ended.
+    /// Returns the trace of a job that has not ended.
     pub(crate) fn trace(&self, job: JobId) -> Option<TraceId> {
         self.on()?;
         self.open().jobs.get(&job).map(|job| job.trace)
     }
 
-    /// Looks at what the scheduler is about to be told.
+    /// Records an event that the scheduler is about to receive.
     pub(crate) fn heard(&self, event: &Event) {
         let Some(traces) = self.on() else { return };
         match event {
@@ -161,15 +161,15 @@ impl Spans {
             Event::JobChanged(record) => self.changed(traces, record),
             Event::Stopped(id) => {
                 if let Some(job) = self.open().jobs.get_mut(id) {
-                    job.end_leases(traces, Begun::now(), |_| true);
+                    job.end_leases(traces, SpanTime::now(), |_| true);
                 }
             }
             _ => {}
         }
     }
 
-    /// A job has come into the scheduler.
-    pub(crate) fn taken_up(&self, job: &Job) {
+    /// Records that the scheduler has received a job.
+    pub(crate) fn taken_up(&self, job: &OpenJob) {
         let Some(trace) = self.trace_of(&job.record) else {
             return;
         };
@@ -182,11 +182,11 @@ impl Spans {
             .unwrap_or_default();
         let spans = JobSpans {
             trace,
-            free: Begun::now(),
+            free: SpanTime::now(),
             is_paused: job.record.state.phase() == JobPhase::Paused,
             again,
             has_needs: job
-                .work
+                .planned
                 .plan()
                 .tiles
                 .iter()
@@ -206,15 +206,15 @@ impl Spans {
         };
         let was_paused = std::mem::replace(&mut job.is_paused, phase == JobPhase::Paused);
         if was_paused && !job.is_paused {
-            job.free = Begun::now();
+            job.free = SpanTime::now();
         }
         if !phase.ended() {
             return;
         }
-        let now = Begun::now();
+        let now = SpanTime::now();
         job.end_leases(traces, now, |_| true);
-        // Where a span of this id was sent, another one below it says the rest. After a restart in between
-        // nobody remembers, and it is sent once more.
+        // If the span with this id was sent before, another span below it describes the rest. After a restart
+        // in between, this is not known, and the span is sent once more.
         let whole = match job.again {
             false => {
                 Span::since(job.trace, "job", record.submitted_at_ms).known_as(job.trace.job())
@@ -245,8 +245,8 @@ impl Spans {
         }
     }
 
-    /// A job was submitted; `begun` is when the call arrived.
-    pub(crate) fn planned(&self, id: JobId, begun: Begun, tiles: usize, cause: Cause) {
+    /// Records the planning of a submitted job. `begun` is the time at which the call arrived.
+    pub(crate) fn planned(&self, id: JobId, begun: SpanTime, tiles: usize, cause: Cause) {
         let Some(traces) = self.on() else { return };
         if let Some(job) = self.open().jobs.get(&id) {
             traces.send(
@@ -258,21 +258,21 @@ impl Spans {
         }
     }
 
-    /// A tile is leased to a worker.
+    /// Records that a tile is leased to a worker.
     pub(crate) fn leased(&self, lease: &Lease, worker: &str, scheduler: &Scheduler) {
         let Some(traces) = self.on() else { return };
         let mut open = self.open();
         let Some(job) = open.jobs.get_mut(&lease.job) else {
             return;
         };
-        let now = Begun::now();
-        // Those of which nobody was told that they have ended.
+        let now = SpanTime::now();
+        // End the leases whose end no event has reported.
         job.end_leases(traces, now, |other| {
             other.tile == lease.tile && !scheduler.is_leased(other)
         });
         let needs = scheduler
             .job(lease.job)
-            .map(|job| &*job.work.plan().tiles[lease.tile.at()].needs);
+            .map(|job| &*job.planned.plan().tiles[lease.tile.at()].needs);
         let since = job.waits_since(lease.tile, needs.unwrap_or_default());
         let wait = job
             .span("wait", since, lease.job)
@@ -289,7 +289,7 @@ impl Spans {
         );
     }
 
-    /// A worker has come back with leases, some of which an earlier coordinator gave.
+    /// Records that a worker has returned with leases, some of which an earlier coordinator granted.
     pub(crate) fn held_again(&self, worker: &str, kept: &[Lease]) {
         if self.on().is_none() {
             return;
@@ -301,7 +301,7 @@ impl Spans {
                 .get_mut(&lease.job)
                 .filter(|job| !job.spent.contains(&lease.id))
             {
-                let begun = Begun::now();
+                let begun = SpanTime::now();
                 let leased = || Leased {
                     begun,
                     worker: worker.to_owned(),
@@ -312,19 +312,19 @@ impl Spans {
         }
     }
 
-    /// A lease has ended before its tile was done.
+    /// Records that a lease ended before its tile was done.
     pub(crate) fn lease_ended(&self, lease: &Lease, how: &'static str) {
         let Some(traces) = self.on() else { return };
         if let Some(job) = self.open().jobs.get_mut(&lease.job) {
-            job.end_lease(traces, lease, how, Begun::now());
+            job.end_lease(traces, lease, how, SpanTime::now());
         }
     }
 
-    /// An output has arrived, `begun` at that moment, and something came of it. The lease ends with that.
+    /// Records the fate of an output that arrived at `begun`. The lease ends with the output.
     pub(crate) fn committed(
         &self,
         lease: &Lease,
-        begun: Begun,
+        begun: SpanTime,
         how: &'static str,
         stats: &TileStats,
         bytes: u64,
@@ -334,10 +334,11 @@ impl Spans {
         let Some(job) = open.jobs.get_mut(&lease.job) else {
             return;
         };
-        let now = Begun::now();
+        let now = SpanTime::now();
         if !job.spent.contains(&lease.id) {
-            // After a restart an output may come before its worker, and the worker says how long it took.
-            let since = Begun::ago(Duration::from_millis(stats.millis) + begun.elapsed());
+            // After a restart an output may arrive before its worker reconnects, so the reported duration
+            // replaces the unknown start.
+            let since = SpanTime::ago(Duration::from_millis(stats.millis) + begun.elapsed());
             let leased = || Leased {
                 begun: since,
                 worker: worker_name(&stats.worker).to_owned(),
@@ -362,8 +363,8 @@ impl Spans {
         job.end_lease(traces, lease, how, now);
     }
 
-    /// The result of a job was assembled, or could not be.
-    pub(crate) fn assembled(&self, id: JobId, begun: Begun, bytes: Option<u64>) {
+    /// Records that the result of a job was assembled, or that the assembly failed.
+    pub(crate) fn assembled(&self, id: JobId, begun: SpanTime, bytes: Option<u64>) {
         let Some(traces) = self.on() else { return };
         if let Some(job) = self.open().jobs.get(&id) {
             let span = job

@@ -1,5 +1,5 @@
-//! Jobs of ambient occlusion on a coordinator in memory: whose receivers are, what is refused, tiles that are
-//! given up, and what is kept.
+//! Tests of ambient occlusion jobs on a coordinator in memory: owners of receivers, rejections, failed tiles,
+//! and retention.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,35 +9,37 @@ use sightline_model::receivers::{Falloff, Receiver, ReceiverSettings, Receivers}
 use sightline_model::{Ambient, JobSpec, NO_PROFILE};
 use sightline_records::JobState;
 use sightline_records::ids::Digest;
+use sightline_scene::TriangleId;
 use sightline_scheduler::{Failure, Introduction, Progress, WorkerCommand};
 use tokio::sync::mpsc;
 
 use crate::access::{Caller, Scope, Scopes};
 use crate::blobs::references;
+use crate::coordinator::Coordinator;
 use crate::jobs::control;
 use crate::jobs::delete;
-use crate::jobs::resume;
 use crate::jobs::submit::{Submission, SubmitError, submit};
-use crate::lifecycle;
+use crate::jobs::suspend;
+use crate::jobs::suspensions::MissingBlob;
 use crate::outputs::commit::ResultError;
 use crate::quota::{Quotas, Usage, usage};
 use crate::results::partial;
 use crate::results::queries::{self, AskError};
-use crate::state::{Coordinator, MissingBlob};
+use crate::startup;
 use crate::tests::life::{coordinator, granted, nameless, put, two_tiles};
 use crate::uploads::complete::UploadError;
-use crate::uploads::receivers::{self, Fault};
+use crate::uploads::receivers::{self, StoredReceiversError};
 use crate::uploads::scenes;
-use crate::users::quota_check::HavingError;
+use crate::users::quota_check::ReservationError;
 use crate::workers::sessions::{self, Message};
 
-/// Receivers in blocks of these lengths, on the only triangle.
+/// Encodes receivers in blocks of these lengths, on the only triangle.
 fn of_blocks(blocks: &[u32]) -> Vec<u8> {
     let all: u32 = blocks.iter().sum();
     let receiver = |i: u32| Receiver {
         point: [f64::from(i), 0.0, 0.0],
         normal: [0.0, 0.0, 1.0],
-        triangle: Some(0),
+        triangle: Some(TriangleId(0)),
     };
     let settings = ReceiverSettings {
         distance: 2.0,
@@ -54,7 +56,7 @@ fn of_blocks(blocks: &[u32]) -> Vec<u8> {
     .unwrap()
 }
 
-/// Uploads bytes as receivers of an owner, in chunks of some bytes.
+/// Uploads bytes as receivers of an owner, in chunks of 100 000 bytes.
 fn send(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, UploadError> {
     let whole = *blake3::hash(bytes).as_bytes();
     let chunks: Vec<Digest> = bytes
@@ -67,12 +69,12 @@ fn send(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, UploadErro
 fn user(name: &str) -> Caller {
     Caller::User {
         name: name.to_owned(),
-        scopes: Scopes::of(&[Scope::Submit]),
+        scopes: Scopes::new(&[Scope::Submit]),
     }
 }
 
-fn of(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission {
-    let stored = receivers::stored(c, digest).unwrap();
+fn ambient_job(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission {
+    let stored = c.uploads.receivers(&*c.blobs, digest).unwrap();
     let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
     let spec = JobSpec::of_receivers(
         scene,
@@ -102,19 +104,19 @@ fn worker() -> Introduction {
 }
 
 #[test]
-fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
+fn job_finishes_and_failed_tile_has_no_answers() {
     let (c, clock, scene) = coordinator();
-    // The second tile begins with receiver 4100.
+    // The second tile starts with receiver 4100.
     let digest = send(&c, "", &of_blocks(&[4090, 10, 5])).unwrap();
-    let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    let id = submit(&c, &ambient_job(&c, scene, digest, "")).unwrap().id;
     let summary = control::summary(&c, id).unwrap();
     assert_eq!((summary.tiles_total, summary.cells_total), (2, 4105));
-    let (out, mut orders) = mpsc::channel(64);
+    let (out, mut commands) = mpsc::channel(64);
     let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
     follow_ups.run(&c);
     sessions::heard(&c, joined.worker, Message::Want(2)).run(&c);
-    let grants = [granted(&mut orders), granted(&mut orders)];
-    assert_eq!(grants[0].work.ambient().unwrap().receivers, digest);
+    let grants = [granted(&mut commands), granted(&mut commands)];
+    assert_eq!(grants[0].planned.ambient().unwrap().receivers, digest);
     let tile = |points: usize, value| Openness {
         numbers: 1,
         values: vec![value; points],
@@ -141,7 +143,7 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
         (so_far.points(), so_far.missing(), so_far.values[4099]),
         (4105, 5, 0.5)
     );
-    // The other one fails five times.
+    // The other tile fails five times.
     let mut grant = grants[1].clone();
     for attempt in 0.. {
         assert!(attempt < 10, "{:?}", control::summary(&c, id).unwrap());
@@ -153,8 +155,8 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
         sessions::heard(&c, joined.worker, Message::Failed(failure)).run(&c);
         sessions::heard(&c, joined.worker, Message::Want(1)).run(&c);
         clock.advance(Duration::from_secs(1));
-        lifecycle::tick(&c).run(&c);
-        match orders.try_recv() {
+        startup::tick(&c).run(&c);
+        match commands.try_recv() {
             Ok(WorkerCommand::Grant(next)) => grant = *next,
             _ => break,
         }
@@ -174,7 +176,10 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
         ),
         (1, 1, 4100)
     );
-    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    let result = c
+        .blobs
+        .read(&control::result(&c.records, id).unwrap())
+        .unwrap();
     assert_eq!(Openness::of_result(&result).unwrap().missing(), 5);
     let why = queries::query(
         &c,
@@ -190,23 +195,23 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
 }
 
 #[test]
-fn receivers_that_are_lost_before_the_end_are_waited_for() {
+fn job_waits_for_receivers_lost_before_end() {
     let (c, _, scene) = coordinator();
     let bytes = of_blocks(&[3]);
     let digest = send(&c, "", &bytes).unwrap();
-    let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
-    let (out, mut orders) = mpsc::channel(8);
+    let id = submit(&c, &ambient_job(&c, scene, digest, "")).unwrap().id;
+    let (out, mut commands) = mpsc::channel(8);
     let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
     follow_ups.run(&c);
     sessions::heard(&c, joined.worker, Message::Want(1)).run(&c);
-    let grant = granted(&mut orders);
+    let grant = granted(&mut commands);
     let progress = Progress {
         lease: grant.lease,
         cells: 1,
         samples: 0,
     };
     sessions::heard(&c, joined.worker, Message::Progress(progress)).run(&c);
-    // The output comes while nothing is assembled; then the coordinator is as after a restart.
+    // The output arrives while no assembly runs. Then the coordinator is in the state after a restart.
     control::pause(&c, id, false).unwrap();
     let tile = Openness {
         numbers: 1,
@@ -214,7 +219,7 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
         bound: 1e-9,
     };
     put(&c, &grant, &tile.encode().unwrap()).unwrap();
-    *c.last_receivers.lock().unwrap() = None;
+    *c.uploads.last_receivers.lock().unwrap() = None;
     assert!(c.blobs.remove(&digest).unwrap());
     control::resume(&c, id).unwrap();
     let until = |is: &dyn Fn() -> bool| {
@@ -226,22 +231,25 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
         }
         panic!("{:?}", control::summary(&c, id).unwrap());
     };
-    until(&|| control::summary(&c, id).unwrap().lacks == Some(MissingBlob::Receivers(digest)));
+    until(&|| control::summary(&c, id).unwrap().missing == Some(MissingBlob::Receivers(digest)));
     until(&|| control::summary(&c, id).unwrap().record.state == JobState::Paused);
     send(&c, "", &bytes).unwrap();
-    resume::back(&c, MissingBlob::Receivers(digest));
-    until(&|| control::result(&c, id).is_ok());
-    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    suspend::resume_jobs(&c, MissingBlob::Receivers(digest));
+    until(&|| control::result(&c.records, id).is_ok());
+    let result = c
+        .blobs
+        .read(&control::result(&c.records, id).unwrap())
+        .unwrap();
     assert_eq!(Openness::of_result(&result).unwrap().values, [0.5; 3]);
 }
 
 #[test]
-fn receivers_are_their_senders_and_count_as_what_a_user_has() {
+fn receivers_belong_to_sender_and_count_for_quota() {
     let (c, _, scene) = coordinator();
     let bytes = of_blocks(&[4096, 4096]);
     assert!(bytes.len() > 200_000);
     let digest = send(&c, "ada", &bytes).unwrap();
-    assert_eq!(c.uploads.bytes("ada"), bytes.len() as u64);
+    assert_eq!(c.uploads.chunks.bytes("ada"), bytes.len() as u64);
     assert_eq!(
         receivers::known(&c, &user("ada"), digest)
             .unwrap()
@@ -251,9 +259,9 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
     );
     assert!(matches!(
         receivers::known(&c, &user("bob"), digest),
-        Err(Fault::Unknown(_))
+        Err(StoredReceiversError::Unknown(_))
     ));
-    // The digest alone opens nothing, nor do chunks that somebody else has sent.
+    // The digest is not sufficient, and chunks of another user do not count.
     let chunk = *blake3::hash(&bytes[..100_000]).as_bytes();
     for chunks in [&[][..], &[chunk], &[digest]] {
         let refused = receivers::put(&c, "bob", digest, chunks).unwrap_err();
@@ -264,13 +272,15 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
         assert!(is_refused, "{chunks:?}: {refused}");
         assert!(matches!(
             receivers::known(&c, &user("bob"), digest),
-            Err(Fault::Unknown(_))
+            Err(StoredReceiversError::Unknown(_))
         ));
     }
-    // From the submission on the job counts them, and makes them their owner's.
-    let id = submit(&c, &of(&c, scene, digest, "ada")).unwrap().id;
-    assert_eq!(c.uploads.bytes("ada"), 0);
-    let has = usage(c.store.queries(), "ada").unwrap();
+    // From the submission on, the job counts the receivers, and its owner owns them.
+    let id = submit(&c, &ambient_job(&c, scene, digest, "ada"))
+        .unwrap()
+        .id;
+    assert_eq!(c.uploads.chunks.bytes("ada"), 0);
+    let has = usage(c.records.queries(), "ada").unwrap();
     assert_eq!(
         has,
         Usage {
@@ -281,24 +291,24 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
         }
     );
     assert!(receivers::known(&c, &user("ada"), digest).is_ok());
-    // Sent again with the digest alone, they are found.
+    // A second upload with only the digest finds the receivers.
     assert!(receivers::put(&c, "ada", digest, &[]).is_ok());
     assert!(matches!(
         receivers::known(&c, &user("bob"), digest),
-        Err(Fault::Unknown(_))
+        Err(StoredReceiversError::Unknown(_))
     ));
-    // They are kept as long as a job names them.
+    // The receivers are kept while a job references them.
     let alone = |remove: &mut dyn FnMut()| remove();
-    references::sweep(c.store.queries(), &*c.blobs, &|_, _| true, &alone).unwrap();
+    references::sweep(c.records.queries(), &*c.blobs, &|_, _| true, &alone).unwrap();
     assert!(c.blobs.has(&digest).unwrap());
     let lost = |c: &Coordinator| {
-        references::verify(c.store.queries(), &*c.blobs, &|_| ())
+        references::verify(c.records.queries(), &*c.blobs, &|_| ())
             .unwrap()
             .lost
             .len()
     };
     assert_eq!(lost(&c), 0);
-    let other = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    let other = submit(&c, &ambient_job(&c, scene, digest, "")).unwrap().id;
     for (job, stays) in [(id, true), (other, false)] {
         control::cancel(&c, job).unwrap();
         delete::delete(&c, job).unwrap();
@@ -307,15 +317,15 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
 }
 
 #[test]
-fn what_is_no_job_of_receivers_is_refused() {
+fn invalid_ambient_jobs_are_rejected() {
     let (c, _, scene) = coordinator();
-    // No receivers, and nothing of them is kept.
+    // The bytes are not receivers, and none of them are kept.
     for bytes in [&b"halls"[..], &vec![7; 300_000]] {
         let refused = send(&c, "", bytes).unwrap_err();
         assert!(matches!(refused, UploadError::Receivers(_)), "{refused}");
         assert!(!c.blobs.has(blake3::hash(bytes).as_bytes()).unwrap());
     }
-    // What was there before stays.
+    // An existing blob stays.
     let refused = receivers::put(&c, "", scene, &[]).unwrap_err();
     assert!(
         matches!(refused, UploadError::Receivers(_)) && c.blobs.has(&scene).unwrap(),
@@ -327,7 +337,7 @@ fn what_is_no_job_of_receivers_is_refused() {
         matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30),
         "{refused}"
     );
-    // A triangle that the scene does not have.
+    // The receiver is on a triangle that the scene does not have.
     let settings = ReceiverSettings {
         distance: f64::INFINITY,
         falloff: Falloff::None,
@@ -336,7 +346,7 @@ fn what_is_no_job_of_receivers_is_refused() {
     let receiver = Receiver {
         point: [0.0; 3],
         normal: [0.0, 1.0, 0.0],
-        triangle: Some(1),
+        triangle: Some(TriangleId(1)),
     };
     let bytes = Receivers {
         settings,
@@ -346,23 +356,26 @@ fn what_is_no_job_of_receivers_is_refused() {
     .encode()
     .unwrap();
     let digest = send(&c, "", &bytes).unwrap();
-    let refused = submit(&c, &of(&c, scene, digest, "")).unwrap_err();
+    let refused = submit(&c, &ambient_job(&c, scene, digest, "")).unwrap_err();
     assert!(matches!(refused, SubmitError::Receiver(1)), "{refused}");
-    // Receivers that are gone.
+    // The receivers no longer exist.
     let digest = send(&c, "", &of_blocks(&[3])).unwrap();
-    let submission = of(&c, scene, digest, "");
+    let submission = ambient_job(&c, scene, digest, "");
     c.blobs.remove(&digest).unwrap();
     let refused = submit(&c, &submission).unwrap_err();
     assert!(
-        matches!(refused, SubmitError::Receivers(Fault::Unknown(_))),
+        matches!(
+            refused,
+            SubmitError::Receivers(StoredReceiversError::Unknown(_))
+        ),
         "{refused}"
     );
-    // Too much for a user.
+    // The receivers exceed the user's quota.
     let mut c = c;
     let c = loop {
         match Arc::try_unwrap(c) {
             Ok(mut alone) => {
-                alone.quotas = Quotas::parse(&["bytes=300".to_owned()]).unwrap();
+                alone.config.quotas = Quotas::parse(&["bytes=300".to_owned()]).unwrap();
                 break Arc::new(alone);
             }
             Err(shared) => c = shared,
@@ -371,10 +384,13 @@ fn what_is_no_job_of_receivers_is_refused() {
     assert!(send(&c, "ada", &of_blocks(&[3])).is_ok());
     let refused = scenes::put_chunk(&c, "ada", &of_blocks(&[2])).unwrap_err();
     assert!(
-        matches!(refused, UploadError::Having(HavingError::LimitExceeded(_))),
+        matches!(
+            refused,
+            UploadError::Quota(ReservationError::LimitExceeded(_))
+        ),
         "{refused}"
     );
-    // Other jobs go on as before.
+    // Other jobs continue as before.
     assert_eq!(
         control::summary(&c, two_tiles(&c, scene))
             .unwrap()

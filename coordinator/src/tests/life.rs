@@ -1,5 +1,5 @@
-//! A coordinator on a memory store and memory blobs: a job from its submission to its result, retries, lease
-//! expiry.
+//! Tests of a coordinator with store and blobs in memory: a job from its submission to its result, retries,
+//! and lease expiry.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,22 +21,24 @@ use sightline_store::{MemoryBlobs, MemoryStore};
 use tokio::sync::mpsc;
 
 use crate::clock::ManualClock;
+use crate::config::Leases;
+use crate::coordinator::Coordinator;
 use crate::dispatch::outbox::Outbox;
 use crate::jobs::control::{self, JobError};
 use crate::jobs::submit::{Submission, SubmitError, submit};
-use crate::lifecycle;
-use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
+use crate::outputs::commit::{self, OutputBytes, ResultError, SizeLimit, UploadHeader};
 use crate::records::JobChanges;
-use crate::state::{Coordinator, Leases};
+use crate::startup;
 use crate::workers::sessions::{self, Message};
 
 impl Outbox for mpsc::Sender<WorkerCommand> {
-    fn offer(&self, order: WorkerCommand) -> bool {
-        self.try_send(order).is_ok()
+    fn offer(&self, command: WorkerCommand) -> bool {
+        self.try_send(command).is_ok()
     }
 }
 
-/// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
+/// Creates a coordinator without a disk. Returns the coordinator, its clock, and the digest of a scene of one
+/// triangle.
 pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
@@ -51,7 +53,7 @@ pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     (c, clock, scene)
 }
 
-/// A scene of one triangle.
+/// Creates a scene of one triangle.
 pub(crate) fn triangle() -> Scene {
     let triangle = Triangle {
         v: [Vec3::ZERO, Vec3::X, Vec3::Y],
@@ -75,9 +77,9 @@ const MASKED: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
     }"#;
 
 #[test]
-fn a_scene_with_masks_is_refused_by_exact_methods() {
+fn exact_methods_reject_scene_with_masks() {
     let (c, ..) = coordinator();
-    let options = sightline_scene::load::Options {
+    let options = sightline_scene::load::LoadOptions {
         alpha_textures: true,
         ..Default::default()
     };
@@ -106,7 +108,7 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
     }
 }
 
-/// Submits a job of two tiles of one cell each.
+/// Submits a job of two tiles with one cell each.
 pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
     let spec = lines(scene, grid([2, 1, 1], 1), 1);
     let submission = Submission {
@@ -117,9 +119,9 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
     submit(c, &submission).unwrap().id
 }
 
-/// Lets a worker join and want tiles.
+/// Adds a worker that requests tiles.
 pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<WorkerCommand>) {
-    let (out, orders) = mpsc::channel(8);
+    let (out, commands) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
     let (name, signature) = (name.to_owned(), name.to_owned());
     let version = String::new();
@@ -136,17 +138,17 @@ pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receive
     follow_ups.run(c);
     let worker = joined.worker;
     sessions::heard(c, worker, Message::Want(2)).run(c);
-    (worker, orders)
+    (worker, commands)
 }
 
-pub(crate) fn granted(orders: &mut mpsc::Receiver<WorkerCommand>) -> Grant {
-    match orders.try_recv() {
+pub(crate) fn granted(commands: &mut mpsc::Receiver<WorkerCommand>) -> Grant {
+    match commands.try_recv() {
         Ok(WorkerCommand::Grant(grant)) => *grant,
         other => panic!("no grant: {other:?}"),
     }
 }
 
-/// The encoded output of a granted tile in which every cell sees `visible`.
+/// Encodes the output of a granted tile in which every cell sees `visible`.
 pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
     output_of(
         grant,
@@ -157,10 +159,10 @@ pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
     )
 }
 
-/// The same with this cell in place of every cell.
+/// Encodes the output of a granted tile in which every cell is `cell`.
 pub(crate) fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
-    let tile = &grant.work.plan().tiles[grant.lease.tile.at()];
-    let nodes = expected_nodes(grant.work.visibility().unwrap(), tile).unwrap();
+    let tile = &grant.planned.plan().tiles[grant.lease.tile.at()];
+    let nodes = expected_nodes(grant.planned.visibility().unwrap(), tile).unwrap();
     let cells = (0..tile.cells).map(|_| cell.clone());
     codec::encode(&TileOutput::Cells(CellSets {
         cells: cells.collect(),
@@ -183,28 +185,28 @@ pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(
             samples: 3,
             millis: 4,
         },
-        &Origin::Sent(bytes),
-        Weight::Any,
+        &OutputBytes::Sent(bytes),
+        SizeLimit::Any,
     )
 }
 
 #[test]
-fn a_job_runs_in_memory_from_submission_to_result() {
+fn job_in_memory_runs_from_submission_to_result() {
     let (c, clock, scene) = coordinator();
     let id = two_tiles(&c, scene);
     assert_eq!(
         control::summary(&c, id).unwrap().record.state,
         JobState::Queued
     );
-    let (_, mut orders) = join(&c, "a");
-    let grants = [granted(&mut orders), granted(&mut orders)];
+    let (_, mut commands) = join(&c, "a");
+    let grants = [granted(&mut commands), granted(&mut commands)];
     assert_eq!(control::summary(&c, id).unwrap().tiles_running, 2);
     let empty = output(&grants[0], &[]);
     assert!(matches!(
         put(&c, &grants[0], &empty[1..]),
         Err(ResultError::Output(OutputError::Encoding(_)))
     ));
-    // The job has viewpoints in all cells, and asks for no contributions.
+    // The job has viewpoints in all cells, and does not request contributions.
     let unreached = output_of(
         &grants[0],
         &CellSet {
@@ -239,7 +241,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
         Err(ResultError::Conflict)
     ));
     assert!(matches!(
-        control::result(&c, id),
+        control::result(&c.records, id),
         Err(JobError::NoResult {
             phase: JobPhase::Running,
             ..
@@ -247,7 +249,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     ));
     clock.advance(Duration::from_secs(5));
     put(&c, &grants[1], &output(&grants[1], &[0])).unwrap();
-    // The result is assembled on a thread of its own.
+    // A separate thread assembles the result.
     let mut tries = 0;
     let done = loop {
         let summary = control::summary(&c, id).unwrap();
@@ -263,7 +265,10 @@ fn a_job_runs_in_memory_from_submission_to_result() {
         done.record.finished_at_ms,
         Some(done.record.submitted_at_ms + 5000)
     );
-    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    let result = c
+        .blobs
+        .read(&control::result(&c.records, id).unwrap())
+        .unwrap();
     let pvs = Pvs::from_bytes(result).unwrap();
     let at = |x| {
         let mut ids = Vec::new();
@@ -272,17 +277,19 @@ fn a_job_runs_in_memory_from_submission_to_result() {
         ids
     };
     assert_eq!((at(0.25), at(0.75)), (vec![], vec![0]));
-    // The outputs of the tiles are in the result and were removed.
+    // The result contains the outputs of the tiles, so they were removed.
     assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
-    // The same job again is answered with the result, and a lost result is baked again.
-    let spec = grants[0].work.spec().clone();
+    // The same job, submitted again, returns the result. If the result is lost, the job is baked again.
+    let spec = grants[0].planned.spec().clone();
     let again = Submission {
         request_id: "two".to_owned(),
         ..nameless(spec)
     };
     let answer = submit(&c, &again).unwrap();
     assert!(answer.existing && answer.id == id);
-    c.blobs.remove(&control::result(&c, id).unwrap()).unwrap();
+    c.blobs
+        .remove(&control::result(&c.records, id).unwrap())
+        .unwrap();
     let answer = submit(
         &c,
         &Submission {
@@ -295,24 +302,27 @@ fn a_job_runs_in_memory_from_submission_to_result() {
 }
 
 #[test]
-fn a_lease_that_is_not_renewed_goes_to_another_worker() {
+fn lease_without_renewal_moves_to_other_worker() {
     let (c, clock, scene) = coordinator();
     two_tiles(&c, scene);
-    let (a, mut orders_a) = join(&c, "a");
-    let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
+    let (a, mut commands_a) = join(&c, "a");
+    let leases = [
+        granted(&mut commands_a).lease,
+        granted(&mut commands_a).lease,
+    ];
     sessions::heard(&c, a, Message::Draining).run(&c);
     clock.advance(Duration::from_secs(11));
-    lifecycle::tick(&c).run(&c);
+    startup::tick(&c).run(&c);
     assert_eq!(
-        leases.map(|l| orders_a.try_recv() == Ok(WorkerCommand::Revoke(l))),
+        leases.map(|l| commands_a.try_recv() == Ok(WorkerCommand::Revoke(l))),
         [true, true]
     );
-    let (_, mut orders_b) = join(&c, "b");
-    assert_eq!(granted(&mut orders_b).lease.tile, leases[0].tile);
+    let (_, mut commands_b) = join(&c, "b");
+    assert_eq!(granted(&mut commands_b).lease.tile, leases[0].tile);
 }
 
 #[test]
-fn a_job_of_another_version_is_not_retried() {
+fn job_of_other_version_is_not_retried() {
     let (c, _, scene) = coordinator();
     let job = NewJob {
         key: [1; 32],
@@ -337,11 +347,14 @@ fn a_job_of_another_version_is_not_retried() {
     changes.finish().run(&c);
     let refused = control::retry(&c, id).unwrap_err();
     assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
-    assert!(refused.to_string().contains("submit it again"), "{refused}");
-    assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
+    assert!(
+        refused.to_string().contains("submit the job again"),
+        "{refused}"
+    );
+    assert_eq!(c.records.job(id).unwrap().unwrap().state, failed);
 }
 
-/// Returns the grid of cells of the unit cube that tests use, in tiles of at most `tile_cells` cells.
+/// Returns a grid of cells of the unit cube, in tiles of at most `tile_cells` cells.
 pub(crate) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
     let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
     let tile_cells = TileCells::new(tile_cells).unwrap();
@@ -351,7 +364,7 @@ pub(crate) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
         .unwrap()
 }
 
-/// Returns a job of lines over a grid, on the cpu and without pairs of cells.
+/// Returns a job of lines over a grid, with the tracer `Cpu` and without cell-to-cell visibility.
 pub(crate) fn lines(scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
     let sampling = Sampling {
         tracer: TracerChoice::Cpu,
@@ -368,7 +381,7 @@ pub(crate) fn lines(scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
     }
 }
 
-/// Returns a job of lines over a single cell, with the defaults of everything else.
+/// Returns a job of lines over a single cell, with default parameters.
 pub(crate) fn one_cell(scene: Digest, seed: u64) -> JobSpec {
     let sampling = Sampling::new(Sampler::lines(KnownCells::Grid(grid([1, 1, 1], 512))));
     let task = Visibility {

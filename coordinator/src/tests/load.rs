@@ -1,13 +1,14 @@
-//! How much one coordinator carries: simulated workers that lease and commit tiles as fast as they can, on
-//! the store on disk.
+//! Load tests of one coordinator: simulated workers lease and commit tiles as fast as they can, on the store
+//! on disk.
 //!
 //! ```text
 //! cargo test --workspace --lib -- --ignored --nocapture one_coordinator ten_thousand_finished
 //! ```
-//! The workers call the coordinator's functions: the network, the checks of outputs and their files are not
-//! part of the figures, the scheduler, its lock and the synced store are.
+//! The workers call the functions of the coordinator. The figures include the scheduler, its lock and the
+//! synced store. They do not include the network, the checks of outputs, or the files of outputs.
 //!
-//! `SIGHTLINE_WORKERS`, `SIGHTLINE_TILES` change the numbers (1000 and 100 000).
+//! `SIGHTLINE_WORKERS` and `SIGHTLINE_TILES` change the number of workers (default: 1000) and the number of
+//! tiles (default: 100 000).
 
 #![allow(clippy::print_stdout, reason = "a measurement")]
 
@@ -23,24 +24,24 @@ use sightline_store::{SledStore, Store};
 use tokio::sync::mpsc;
 
 use crate::access::Caller;
+use crate::config::Config;
+use crate::coordinator::Coordinator;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::tell;
 use crate::jobs::control;
 use crate::jobs::submit::{Submission, submit};
-use crate::lifecycle::{Config, tick};
 use crate::records::OutputCommit;
-use crate::state::Coordinator;
+use crate::startup::tick;
 use crate::tests::life::{grid, lines};
 use crate::workers::sessions::{self, Message};
 
-/// Tiles of one job.
+/// The number of tiles of one job.
 const TILES_OF_A_JOB: u64 = 50_000;
 
 struct Queue(mpsc::UnboundedSender<(Lease, Instant)>);
 
 impl Outbox for Queue {
-    fn offer(&self, order: WorkerCommand) -> bool {
-        match order {
+    fn offer(&self, command: WorkerCommand) -> bool {
+        match command {
             WorkerCommand::Grant(grant) => self.0.send((grant.lease, Instant::now())).is_ok(),
             WorkerCommand::Help(_) | WorkerCommand::Revoke(_) | WorkerCommand::Time { .. } => true,
         }
@@ -51,7 +52,7 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |n| n.parse().unwrap())
 }
 
-/// Kilobytes of this process.
+/// Returns the peak resident memory of this process in kilobytes.
 fn resident() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
@@ -77,10 +78,10 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
     .id
 }
 
-/// Commits a tile as an output that arrives does, without the output's own checks and file.
+/// Commits a tile like an arriving output, without the checks and the file of the output.
 fn commit(c: &Arc<Coordinator>, lease: Lease) {
     let (committing, admitted) = OutputCommit::begin(c, lease).ok().unwrap();
-    assert!(admitted.counts);
+    assert!(admitted.counts());
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
     digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
@@ -97,14 +98,11 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
         stats: stats.clone(),
     };
     committing.record(result).unwrap();
-    tell(
-        c,
-        Event::Committed {
-            lease,
-            digest,
-            stats,
-        },
-    )
+    c.tell(Event::Committed {
+        lease,
+        digest,
+        stats,
+    })
     .run(c);
 }
 
@@ -125,7 +123,7 @@ fn one_coordinator_with_a_thousand_workers() {
         objects: 1,
         owners: Default::default(),
     };
-    c.store.record_scene(scene).unwrap();
+    c.records.record_scene(scene).unwrap();
     let ids: Vec<JobId> = (0..tiles / TILES_OF_A_JOB)
         .map(|i| job(&c, i + 1, TILES_OF_A_JOB))
         .collect();
@@ -196,7 +194,8 @@ fn one_coordinator_with_a_thousand_workers() {
     println!("tiles left after the restart: {left}");
 }
 
-/// A worker that holds one tile at a time, until enough tiles are done; gives the times from Want to Grant.
+/// Simulates a worker that leases one tile at a time, until `enough` tiles are done. Returns the times from
+/// Want to Grant.
 async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Vec<Duration> {
     let (send, mut granted) = mpsc::unbounded_channel();
     let profiles = vec!["cpu/test".to_owned()];

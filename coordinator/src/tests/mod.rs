@@ -1,4 +1,4 @@
-//! Tests of several parts together, on a coordinator in memory.
+//! Tests of several components together, on a coordinator in memory.
 
 mod ambient;
 pub(crate) mod life;

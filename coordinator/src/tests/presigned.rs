@@ -1,5 +1,6 @@
-//! Outputs that workers write into a bucket by themselves: what is checked before one counts, and what is
-//! left of it, against a real server.
+//! Tests of outputs that workers write directly to a bucket, on a real server.
+//!
+//! They cover the checks before a commit, and the removal of rejected objects.
 
 use std::sync::Arc;
 
@@ -13,11 +14,12 @@ use sightline_tests::ask;
 use tempfile::TempDir;
 
 use crate::clock::ManualClock;
-use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
-use crate::state::{Coordinator, Leases};
+use crate::config::Leases;
+use crate::coordinator::Coordinator;
+use crate::outputs::commit::{self, OutputBytes, ResultError, SizeLimit, UploadHeader};
 use crate::tests::life::{granted, join, output, output_of, two_tiles};
 
-/// A coordinator on a bucket, and two tiles that a worker has.
+/// A coordinator on a bucket, and two tiles that are granted to a worker.
 struct Farm {
     c: Arc<Coordinator>,
     grants: [Grant; 2],
@@ -46,8 +48,8 @@ impl Farm {
         let c = Coordinator::new(Leases::default(), store, Box::new(blobs), clock).unwrap();
         let scene = c.take_scene(&crate::tests::life::triangle()).unwrap();
         two_tiles(&c, scene);
-        let (_, mut orders) = join(&c, "a");
-        let grants = [granted(&mut orders), granted(&mut orders)];
+        let (_, mut commands) = join(&c, "a");
+        let grants = [granted(&mut commands), granted(&mut commands)];
         Self {
             c,
             grants,
@@ -56,7 +58,7 @@ impl Farm {
         }
     }
 
-    /// Objects beside the blobs.
+    /// Returns the number of staged objects next to the blobs.
     fn staged(&self) -> usize {
         self.server.objects("farm/one/staged", "").len()
     }
@@ -74,7 +76,7 @@ fn staged(lease: Lease, bytes: &[u8]) -> Staged {
     }
 }
 
-/// Writes something; gives the status of the answer.
+/// Sends a write to an address. Returns the status of the answer.
 fn put(address: &Address, bytes: &[u8]) -> u32 {
     let (host, path) = address
         .url
@@ -96,7 +98,7 @@ fn put(address: &Address, bytes: &[u8]) -> u32 {
     .0
 }
 
-/// Writes what an address is for.
+/// Writes the bytes of an address.
 fn write(address: &Address, bytes: &[u8]) {
     assert_eq!(put(address, bytes), 200);
 }
@@ -109,21 +111,21 @@ fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), R
         samples: 1,
         millis: 1,
     };
-    commit::put(c, &announced, &Origin::Staged(staged), Weight::Any)
+    commit::put(c, &announced, &OutputBytes::Staged(staged), SizeLimit::Any)
 }
 
 #[test]
-fn an_output_that_was_written_counts_when_it_was_checked() {
+fn written_output_counts_after_check() {
     let farm = Farm::new();
     let (c, bytes) = (&farm.c, output(&farm.grants[0], &[0]));
     let (upload, digest) = (
         staged(farm.grants[0].lease, &bytes),
         *blake3::hash(&bytes).as_bytes(),
     );
-    // Nothing is there yet.
+    // The worker has not written the object yet.
     let none = commit(c, &upload, digest).unwrap_err();
     assert!(
-        matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"),
+        matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send the output"),
         "{none}"
     );
     write(&commit::address(c, &upload).unwrap().unwrap(), &bytes);
@@ -137,7 +139,7 @@ fn an_output_that_was_written_counts_when_it_was_checked() {
     );
     assert_eq!(c.blobs.read(&digest).unwrap(), bytes);
     assert_eq!(farm.staged(), 0);
-    // The same again, after the answer was lost: the worker sends it.
+    // The worker repeats the commit after a lost answer, and has to send the output.
     assert!(matches!(
         commit(c, &upload, digest),
         Err(ResultError::Unstaged(_))
@@ -145,7 +147,7 @@ fn an_output_that_was_written_counts_when_it_was_checked() {
 }
 
 #[test]
-fn what_is_not_the_tiles_output_is_refused_and_removed() {
+fn wrong_output_is_rejected_and_removed() {
     let farm = Farm::new();
     let (c, lease) = (&farm.c, farm.grants[0].lease);
     let unreached = output_of(
@@ -157,7 +159,7 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
     );
     let upload = staged(lease, &unreached);
     write(&commit::address(c, &upload).unwrap().unwrap(), &unreached);
-    // Under another digest, and as what it is.
+    // The output is announced with another digest, and then with its own.
     assert!(matches!(
         commit(c, &upload, [7; 32]),
         Err(ResultError::Digest)
@@ -170,7 +172,7 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
         Err(ResultError::Output(OutputError::Viewpoints))
     ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
-    // Other bytes than were signed, which this store refuses and keeps all the same.
+    // The bytes differ from the signed ones. This server rejects them, but keeps the object.
     let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
     assert_eq!(
         put(&commit::address(c, &upload).unwrap().unwrap(), &others),
@@ -182,7 +184,7 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
         Err(ResultError::Digest)
     ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
-    // Longer than announced: it is read no further than that.
+    // The object is longer than announced, so it is read only up to the announced length.
     write(&commit::address(c, &upload).unwrap().unwrap(), &unreached);
     let shorter = Staged { bytes: 3, ..upload };
     assert!(matches!(
@@ -192,7 +194,7 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
 }
 
 #[test]
-fn only_who_holds_a_tile_may_write_and_one_output_alone() {
+fn only_lease_holder_may_write_and_only_one_output() {
     let farm = Farm::new();
     let (c, lease) = (&farm.c, farm.grants[0].lease);
     let upload = staged(lease, b"an output");
@@ -233,7 +235,7 @@ fn only_who_holds_a_tile_may_write_and_one_output_alone() {
         .unwrap()
         .is_none()
     );
-    // Nor is anything read for them.
+    // Nor does the coordinator read bytes for them.
     let read = c.blobs.carried().unwrap().read;
     assert!(commit(c, &staged(of_nobody, b"an output"), [1; 32]).is_err());
     assert_eq!(c.blobs.carried().unwrap().read, read);

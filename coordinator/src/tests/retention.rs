@@ -1,4 +1,4 @@
-//! Retention of a coordinator whose wall clock steps.
+//! Tests of the retention of a coordinator whose wall clock steps.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,13 +7,14 @@ use sightline_records::ids::{Digest, JobId};
 use sightline_store::{MemoryBlobs, MemoryStore};
 
 use crate::clock::ManualClock;
+use crate::config::Leases;
+use crate::config::Retention;
+use crate::coordinator::Coordinator;
 use crate::jobs::control;
 use crate::jobs::retention::tidy_up;
 use crate::jobs::retention_stamp;
 use crate::jobs::submit::submit;
-use crate::kept::Retention;
-use crate::state::{Coordinator, Leases};
-use crate::telemetry::events::Kind;
+use crate::telemetry::events::EventKind;
 use crate::tests::life::{nameless, one_cell, triangle};
 use crate::tests::trust::alone;
 use crate::uploads::scenes;
@@ -21,14 +22,14 @@ use crate::uploads::scenes;
 const DAY: Duration = Duration::from_secs(24 * 3600);
 const DAY_MS: i64 = 24 * 3_600_000;
 
-/// Returns a coordinator that has run for longer than its ages, with a wall clock that is right now, and the
-/// digest of a scene.
+/// Creates a coordinator that has run for longer than its ages, with a correct wall clock. Returns the
+/// coordinator, its clock, and the digest of a scene.
 fn coordinator(
     keep: Option<Duration>,
     keep_bytes: Option<u64>,
 ) -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
-    // Times of blobs are of the system's clock.
+    // The times of blobs are from the system's clock.
     clock.step(-2 * DAY_MS);
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
     let c = Coordinator::new(
@@ -39,7 +40,7 @@ fn coordinator(
     )
     .unwrap();
     let mut c = alone(c);
-    c.retention = Retention {
+    c.config.retention = Retention {
         keep,
         keep_bytes,
         grace: DAY,
@@ -59,11 +60,11 @@ fn ended(c: &Arc<Coordinator>, scene: Digest, seed: u64) -> JobId {
 /// Returns the events about pauses of retention.
 fn pauses(c: &Coordinator) -> Vec<String> {
     retention_stamp::record(c);
-    let (events, _) = c.event_log.after(None, 0, usize::MAX);
+    let (events, _) = c.telemetry.event_log.after(None, 0, usize::MAX);
     let reports_clock_step = |text: &String| text.contains("the wall clock stepped");
     events
         .into_iter()
-        .filter(|e| e.what.kind == Kind::Coordinator)
+        .filter(|e| e.what.kind == EventKind::Coordinator)
         .map(|e| e.what.text)
         .filter(reports_clock_step)
         .collect()
@@ -75,16 +76,16 @@ fn stepped_clock_deletes_no_jobs_and_no_blobs() {
         let (c, clock, scene) = coordinator(Some(DAY), None);
         let chunk = scenes::put_chunk(&c, "", b"a part of a scene").unwrap();
         let job = ended(&c, scene, 1);
-        let is_there = || c.store.job(job).unwrap().is_some() && c.blobs.has(&chunk).unwrap();
+        let is_there = || c.records.job(job).unwrap().is_some() && c.blobs.has(&chunk).unwrap();
         clock.step(step);
         tidy_up(&c);
         assert!(is_there(), "{step}");
-        // Ended under the wrong clock.
+        // This job ends under the wrong clock.
         let other = ended(&c, scene, 2);
         clock.step(-step);
         tidy_up(&c);
         assert!(
-            is_there() && c.store.job(other).unwrap().is_some(),
+            is_there() && c.records.job(other).unwrap().is_some(),
             "{step}"
         );
         let pauses = pauses(&c);
@@ -96,13 +97,13 @@ fn stepped_clock_deletes_no_jobs_and_no_blobs() {
         clock.advance(DAY - Duration::from_secs(1));
         tidy_up(&c);
         assert!(is_there(), "{step}");
-        // Later, both go, and with them the scene.
+        // Later, retention deletes both jobs and the scene.
         for _ in 0..4 {
             clock.advance(DAY);
             tidy_up(&c);
         }
         assert!(
-            c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty(),
+            c.records.jobs().unwrap().is_empty() && c.records.scenes().unwrap().is_empty(),
             "{step}"
         );
         assert!(!c.blobs.has(&chunk).unwrap(), "{step}");
@@ -130,5 +131,5 @@ fn byte_bound_deletes_job_with_lowest_number() {
     let other = c.take_scene(&other.unwrap()).unwrap();
     let second = ended(&c, other, 2);
     tidy_up(&c);
-    assert!(c.store.job(first).unwrap().is_none() && c.store.job(second).unwrap().is_some());
+    assert!(c.records.job(first).unwrap().is_none() && c.records.job(second).unwrap().is_some());
 }

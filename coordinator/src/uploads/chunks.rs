@@ -1,5 +1,7 @@
-//! Who has sent which chunks, until they are a scene: what others have sent opens nothing, and what was
-//! stored before is not removed with the chunks.
+//! The uploaded chunks of each owner, until they form a scene.
+//!
+//! An owner can use only chunks that the owner has uploaded. Removing an owner's chunks does not remove blobs
+//! that existed before.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -7,23 +9,24 @@ use std::time::{Duration, Instant};
 
 use sightline_records::ids::Digest;
 
-/// Maximum number of chunks of an owner that were not joined to a scene: two of the largest scenes have as
-/// many. An owner with a name gets no further chunk stored. Chunks without an owner are forgotten then, and
-/// have to be sent again.
+/// Maximum number of an owner's chunks that are not joined to a scene. Two of the largest scenes have as many
+/// chunks. Further chunks of a named owner are rejected. At the limit, the chunks without an owner are
+/// removed, and have to be uploaded again.
 pub(crate) const MAX_CHUNKS: usize = 131_072;
 
-/// The chunks of each owner, and whether each was new to the store. Nobody is an owner, too.
+/// The chunks of each owner, each with a flag that is true if the chunk was new to the store. The empty owner
+/// counts as an owner.
 #[derive(Default)]
 pub(crate) struct Uploads(Mutex<BTreeMap<String, Chunks>>);
 
 /// The chunks of an owner.
 #[derive(Default)]
 struct Chunks {
-    of: BTreeMap<Digest, Sent>,
+    by_digest: BTreeMap<Digest, Sent>,
     bytes: u64,
 }
 
-/// A chunk that was sent.
+/// An uploaded chunk.
 #[derive(Clone, Copy, Debug)]
 struct Sent {
     is_new: bool,
@@ -32,39 +35,48 @@ struct Sent {
 }
 
 impl Uploads {
-    /// Returns true if an owner may send another chunk.
+    /// Returns true if an owner may upload another chunk.
     pub(crate) fn has_room(&self, owner: &str) -> bool {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        owner.is_empty() || all.get(owner).is_none_or(|own| own.of.len() < MAX_CHUNKS)
+        owner.is_empty()
+            || all
+                .get(owner)
+                .is_none_or(|own| own.by_digest.len() < MAX_CHUNKS)
     }
 
-    /// Notes that an owner has sent a chunk.
+    /// Records that an owner has uploaded a chunk.
     pub(crate) fn note(&self, owner: &str, chunk: Digest, bytes: u32, is_new: bool) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let own = all.entry(owner.to_owned()).or_default();
-        // Without an owner there is no quota, and every caller may join every chunk.
-        if owner.is_empty() && own.of.len() >= MAX_CHUNKS && !own.of.contains_key(&chunk) {
+        // Without an owner no quota applies, and every caller may join every chunk.
+        if owner.is_empty()
+            && own.by_digest.len() >= MAX_CHUNKS
+            && !own.by_digest.contains_key(&chunk)
+        {
             *own = Chunks::default();
         }
         let at = Instant::now();
-        let sent = own.of.entry(chunk).or_insert(Sent {
+        let sent = own.by_digest.entry(chunk).or_insert(Sent {
             is_new: false,
             bytes: 0,
             at,
         });
         (sent.is_new, sent.at) = (sent.is_new | is_new, at);
-        // By its digest it has the same length as before.
+        // A chunk with the same digest has the same length as before.
         own.bytes += u64::from(bytes - std::mem::replace(&mut sent.bytes, bytes));
     }
 
-    /// Forgets chunks that were sent longer than `grace` ago and whose blob is gone. A chunk counts for its
-    /// owner as long as its blob is on the disk.
+    /// Removes the chunks that were uploaded longer than `grace` ago and whose blob no longer exists. A chunk
+    /// counts for its owner as long as its blob is on the disk.
     pub(crate) fn forget_removed(&self, grace: Duration, is_stored: impl Fn(&Digest) -> bool) {
-        // The files are inspected without the lock.
+        // Inspect the files without the lock.
         let old: Vec<(String, Digest)> = {
             let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             let old_chunks_of = |(owner, own): (&String, &Chunks)| {
-                let old = own.of.iter().filter(|(_, sent)| sent.at.elapsed() >= grace);
+                let old = own
+                    .by_digest
+                    .iter()
+                    .filter(|(_, sent)| sent.at.elapsed() >= grace);
                 old.map(|(chunk, _)| (owner.clone(), *chunk))
                     .collect::<Vec<_>>()
             };
@@ -75,22 +87,22 @@ impl Uploads {
         }
     }
 
-    /// Bytes of the chunks of an owner.
+    /// Returns the size of an owner's chunks in bytes.
     pub(crate) fn bytes(&self, owner: &str) -> u64 {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.get(owner).map_or(0, |own| own.bytes)
     }
 
-    /// Whether an owner has sent a chunk. Where nothing has an owner everybody has.
+    /// Returns true if an owner has uploaded a chunk. The empty owner (no authentication) has every chunk.
     pub(crate) fn has(&self, owner: &str, chunk: &Digest) -> bool {
         let all = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         owner.is_empty()
             || all()
                 .get(owner)
-                .is_some_and(|own| own.of.contains_key(chunk))
+                .is_some_and(|own| own.by_digest.contains_key(chunk))
     }
 
-    /// Forgets the chunks of a scene that is stored; gives those that were new to the store.
+    /// Removes the chunks of a stored scene. Returns the removed chunks that were new to the store.
     pub(crate) fn forget(&self, owner: &str, chunks: &[Digest]) -> Vec<Digest> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(own) = all.get_mut(owner) else {
@@ -98,7 +110,7 @@ impl Uploads {
         };
         let mut new = Vec::new();
         for chunk in chunks {
-            let Some(sent) = own.of.remove(chunk) else {
+            let Some(sent) = own.by_digest.remove(chunk) else {
                 continue;
             };
             own.bytes -= u64::from(sent.bytes);
@@ -106,7 +118,7 @@ impl Uploads {
                 new.push(*chunk);
             }
         }
-        if own.of.is_empty() {
+        if own.by_digest.is_empty() {
             all.remove(owner);
         }
         new
@@ -118,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chunks_are_their_senders_and_only_new_ones_are_removed() {
+    fn chunks_belong_to_sender_and_only_new_ones_are_removed() {
         let uploads = Uploads::default();
         let (a, b) = ([1; 32], [2; 32]);
         uploads.note("ada", a, 10, true);
@@ -138,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn owner_keeps_its_bytes_however_many_chunks_it_sends() {
+    fn owner_keeps_bytes_of_any_number_of_chunks() {
         let uploads = Uploads::default();
         for owner in ["ada", ""] {
             for n in 0..MAX_CHUNKS {
@@ -146,12 +158,12 @@ mod tests {
             }
         }
         assert!(!uploads.has_room("ada") && uploads.has_room("bob") && uploads.has_room(""));
-        // A chunk that another call was sending counts, too.
+        // A chunk that another call was sending at the limit counts, too.
         uploads.note("ada", digest(MAX_CHUNKS), 1, true);
         assert_eq!(uploads.bytes("ada"), MAX_CHUNKS as u64 + 1);
         // Chunks without an owner do not fill the memory.
         uploads.note("", digest(MAX_CHUNKS), 1, true);
-        assert_eq!(uploads.0.lock().unwrap()[""].of.len(), 1);
+        assert_eq!(uploads.0.lock().unwrap()[""].by_digest.len(), 1);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Stored chunks that become one blob: a scene, or receivers.
+//! Joining of stored chunks to one blob: a scene or receivers.
 
 use std::collections::BTreeMap;
 
@@ -6,69 +6,69 @@ use sightline_model::receivers::ReceiversError;
 use sightline_proto::chunks::CHUNK_BYTES;
 use sightline_records::ids::Digest;
 use sightline_scene::SceneError;
-use sightline_store::{BlobError, StoreError};
+use sightline_store::{BlobError, Blobs, StoreError};
 
-use crate::state::Coordinator;
-use crate::users::quota_check::HavingError;
+use crate::uploads::state::UploadState;
+use crate::users::quota_check::ReservationError;
 
-/// Maximum ratio of the bytes of a list of chunks and of the bytes that were sent for it. A scene repeats a
-/// chunk where its bytes are equal for megabytes, which is the case for few of them.
+/// Maximum ratio of the bytes of a chunk list to the bytes that were uploaded for it. A scene repeats a chunk
+/// only if its bytes repeat over megabytes, which is rare.
 const MAX_COPIES: u64 = 16;
-/// Bytes of a list that may repeat a chunk as it likes.
+/// Maximum size of a list that may repeat chunks without a limit, in bytes.
 const FEW_BYTES: u64 = 64 << 20;
 
-/// An upload that does not become a scene, or receivers.
+/// The reason why an upload does not become a scene or receivers.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum UploadError {
     /// A chunk was never uploaded.
-    #[error("a chunk is not here yet; ask MissingChunks which, put it, and try again")]
+    #[error("a chunk is not uploaded yet; find it with MissingChunks, upload it, and try again")]
     ChunkMissing,
     /// A stored chunk was damaged and has been removed.
-    #[error("a chunk was damaged and is gone; ask MissingChunks which, put it, and try again")]
+    #[error(
+        "a chunk was damaged and is deleted; find it with MissingChunks, upload it, and try again"
+    )]
     ChunkDamaged,
-    /// The chunks do not make the announced whole.
+    /// The chunks do not have the announced digest.
     #[error("{0}")]
     Mismatch(BlobError),
-    /// The whole is not a scene.
+    /// The joined bytes are not a scene.
     #[error(transparent)]
     Scene(SceneError),
-    /// The whole is not receivers.
+    /// The joined bytes are not receivers.
     #[error(transparent)]
     Receivers(#[from] ReceiversError),
-    /// The list of chunks is longer than what is taken.
-    #[error(
-        "the chunks have {bytes} bytes together, and at most {most} are taken; split what they are of"
-    )]
+    /// The chunk list exceeds the maximum size.
+    #[error("the chunks have {bytes} bytes together, but the maximum is {most}; split the file")]
     TooLong {
-        /// Bytes of all chunks of the list.
+        /// The size of all chunks in the list, in bytes.
         bytes: u64,
-        /// Most that are taken.
+        /// The maximum size, in bytes.
         most: u64,
     },
-    /// A chunk is longer than a chunk may be.
-    #[error("a chunk of {bytes} bytes is in the list; chunks have at most {most}")]
+    /// A chunk exceeds the maximum length.
+    #[error("the list contains a chunk of {bytes} bytes; the maximum is {most}")]
     LongChunk {
-        /// The length of the chunk.
+        /// The length of the chunk, in bytes.
         bytes: u64,
-        /// The bound.
+        /// The maximum length, in bytes.
         most: u64,
     },
-    /// The list names the same chunks again and again.
+    /// The chunk list repeats chunks too often.
     #[error(
-        "the list makes {bytes} bytes of chunks that have {sent} together, and at most {most} times as many \
-         are accepted; send a scene without that many copies"
+        "the list expands chunks of {sent} bytes to {bytes} bytes, but the maximum is {most} times \
+         their size; send a scene with fewer identical parts"
     )]
     Repeated {
-        /// Bytes of all chunks of the list.
+        /// The size of all chunks in the list, in bytes.
         bytes: u64,
-        /// Bytes of the chunks, each counted once.
+        /// The size of the chunks in bytes, each counted once.
         sent: u64,
-        /// The bound of their ratio.
+        /// The maximum ratio of the two sizes.
         most: u64,
     },
-    /// The user may not have more.
+    /// The upload exceeds the user's quota.
     #[error(transparent)]
-    Having(#[from] HavingError),
+    Quota(#[from] ReservationError),
     /// A blob cannot be read or written.
     #[error(transparent)]
     Blob(#[from] BlobError),
@@ -77,55 +77,54 @@ pub(crate) enum UploadError {
     Store(#[from] StoreError),
 }
 
-/// The bytes of a whole that is here already. A damaged one is removed, so that its chunks are missing and
-/// the client sends them again: workers would fetch it for ever.
-pub(crate) fn here(
-    c: &Coordinator,
+/// Reads the stored blob `whole`, or returns `None` if it is absent. A damaged blob is removed, so that its
+/// chunks are missing and the client uploads them again. Otherwise, workers would request the damaged blob
+/// forever.
+pub(crate) fn read_whole(
+    blobs: &dyn Blobs,
     whole: Digest,
     chunks: &[Digest],
 ) -> Result<Option<Vec<u8>>, UploadError> {
-    // A whole of one chunk has its chunk's digest, and chunks are not synced: it is written again.
-    if chunks == [whole] || !c.blobs.has(&whole)? {
+    // A blob of one chunk has the digest of the chunk, and chunks are not synced. So the blob is written
+    // again.
+    if chunks == [whole] || !blobs.has(&whole)? {
         return Ok(None);
     }
-    match c.blobs.read(&whole) {
+    match blobs.read(&whole) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(e) if e.is_broken() => {
-            tracing::warn!("{e}; it is uploaded again now");
-            c.blobs.remove(&whole)?;
+            tracing::warn!("{e}; the client uploads the blob again");
+            blobs.remove(&whole)?;
             Ok(None)
         }
         Err(e) => Err(e.into()),
     }
 }
 
-/// The lengths of the chunks of a list, in bytes.
+/// The sizes of a chunk list, in bytes.
 pub(crate) struct ListBytes {
-    /// The bytes of all chunks of the list.
+    /// The size of all chunks in the list, in bytes.
     pub(crate) all: u64,
-    /// The bytes of the chunks, each counted once.
+    /// The size of the chunks in bytes, each counted once.
     pub(crate) distinct: u64,
 }
 
-/// Returns the bytes of the chunks of a list that an owner may join. An owner of the whole need not have sent
-/// them again.
-pub(crate) fn announced(
-    c: &Coordinator,
-    owner: &str,
-    owned: bool,
+/// Returns the sizes of a chunk list, in bytes.
+///
+/// # Errors
+/// [`UploadError`] if a chunk is absent, or the list is too long or repeats chunks too often.
+pub(crate) fn list_bytes(
+    blobs: &dyn Blobs,
     chunks: &[Digest],
     most: u64,
 ) -> Result<ListBytes, UploadError> {
-    if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
-        return Err(UploadError::ChunkMissing);
-    }
-    // A list may name a chunk many times, so its length is looked at before anything is written.
+    // A list may repeat a chunk many times, so check the lengths before the first write.
     let mut lengths = BTreeMap::new();
     let mut bytes: u64 = 0;
     for chunk in chunks {
         let length = match lengths.get(chunk) {
             Some(length) => *length,
-            None => c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?,
+            None => blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?,
         };
         if length > CHUNK_BYTES as u64 {
             return Err(UploadError::LongChunk {
@@ -153,33 +152,34 @@ pub(crate) fn announced(
     })
 }
 
-/// A whole of chunks.
+/// A blob that was joined from chunks.
 pub(crate) struct Joined {
     whole: Digest,
-    /// Its bytes.
+    /// The bytes of the blob.
     pub(crate) bytes: Vec<u8>,
-    /// Whether it was there before; a chunk that is the whole was stored as a chunk.
+    /// True if the blob existed before. A single chunk that equals the blob was stored as a chunk and does
+    /// not count.
     pub(crate) was_there: bool,
 }
 
-/// Writes stored chunks as one blob, and reads it.
+/// Writes stored chunks as one blob, and reads the blob.
 pub(crate) fn join(
-    c: &Coordinator,
+    blobs: &dyn Blobs,
     whole: Digest,
     chunks: &[Digest],
 ) -> Result<Joined, UploadError> {
-    let was_there = c.blobs.has(&whole)? && chunks != [whole];
-    let mut writer = c.blobs.put_stream()?;
+    let was_there = blobs.has(&whole)? && chunks != [whole];
+    let mut writer = blobs.put_stream()?;
     for chunk in chunks {
-        if !c.blobs.has(chunk)? {
+        if !blobs.has(chunk)? {
             return Err(UploadError::ChunkMissing);
         }
-        match c.blobs.read(chunk) {
+        match blobs.read(chunk) {
             Ok(bytes) => writer.append(&bytes)?,
-            // Chunks are not synced to the disk: after a power failure one may be truncated.
+            // Chunks are not synced to the disk, so a power failure may truncate them.
             Err(e) if e.is_broken() => {
-                tracing::warn!("{e}; it is uploaded again now");
-                c.blobs.remove(chunk)?;
+                tracing::warn!("{e}; the client uploads the blob again");
+                blobs.remove(chunk)?;
                 return Err(UploadError::ChunkDamaged);
             }
             Err(e) => return Err(e.into()),
@@ -191,39 +191,59 @@ pub(crate) fn join(
     })?;
     Ok(Joined {
         whole,
-        bytes: c.blobs.read(&whole)?,
+        bytes: blobs.read(&whole)?,
         was_there,
     })
 }
 
 impl Joined {
-    /// Removes an upload that is not what it should be; a blob that was there before may be somebody's
-    /// result.
-    pub(crate) fn discard(&self, c: &Coordinator, owner: &str, chunks: &[Digest]) {
-        let new = forget_chunks(c, owner, self.whole, chunks);
+    /// Removes an invalid upload. A blob that existed before stays, because it may be another user's result.
+    pub(crate) fn discard(
+        &self,
+        uploads: &UploadState,
+        blobs: &dyn Blobs,
+        owner: &str,
+        chunks: &[Digest],
+    ) {
+        let new = uploads.forget_chunks(blobs, owner, self.whole, chunks);
         if !self.was_there && (chunks != [self.whole] || new == [self.whole]) {
-            remove(c, &self.whole);
+            remove(blobs, &self.whole);
         }
     }
 }
 
-/// Removes the chunks of a whole, which are no longer needed, but for those that were there before their
-/// owner sent them; returns the others. A single chunk is the whole, which stays.
-pub(crate) fn forget_chunks(
-    c: &Coordinator,
-    owner: &str,
-    whole: Digest,
-    chunks: &[Digest],
-) -> Vec<Digest> {
-    let new = c.uploads.forget(owner, chunks);
-    new.iter()
-        .filter(|chunk| **chunk != whole)
-        .for_each(|chunk| remove(c, chunk));
-    new
+impl UploadState {
+    /// Checks that an owner has uploaded all chunks of a list.
+    ///
+    /// # Errors
+    /// [`UploadError::ChunkMissing`] if the owner has not uploaded a chunk.
+    pub(crate) fn check_sent(&self, owner: &str, chunks: &[Digest]) -> Result<(), UploadError> {
+        match chunks.iter().all(|chunk| self.chunks.has(owner, chunk)) {
+            true => Ok(()),
+            false => Err(UploadError::ChunkMissing),
+        }
+    }
+
+    /// Removes the owner's records of the chunks of the blob `whole`, which are no longer needed. Returns the
+    /// chunks that the owner's uploads have added to the store, and deletes them from the store. Chunks that
+    /// the store contained before these uploads stay. A single chunk that equals the blob stays, too.
+    pub(crate) fn forget_chunks(
+        &self,
+        blobs: &dyn Blobs,
+        owner: &str,
+        whole: Digest,
+        chunks: &[Digest],
+    ) -> Vec<Digest> {
+        let new = self.chunks.forget(owner, chunks);
+        new.iter()
+            .filter(|chunk| **chunk != whole)
+            .for_each(|chunk| remove(blobs, chunk));
+        new
+    }
 }
 
-fn remove(c: &Coordinator, digest: &Digest) {
-    if let Err(e) = c.blobs.remove(digest) {
+fn remove(blobs: &dyn Blobs, digest: &Digest) {
+    if let Err(e) = blobs.remove(digest) {
         tracing::warn!("{e}");
     }
 }

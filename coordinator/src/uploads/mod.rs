@@ -1,4 +1,4 @@
-//! Uploads of clients and workers: chunks, scenes, receivers, and outputs on their way to the disk.
+//! Uploads of clients and workers: chunks, scenes, receivers, and spooled outputs.
 
 pub(crate) mod chunks;
 pub(crate) mod complete;
@@ -6,3 +6,4 @@ pub(crate) mod receivers;
 pub(crate) mod scene_files;
 pub(crate) mod scenes;
 pub(crate) mod spool;
+pub(crate) mod state;

@@ -1,4 +1,4 @@
-//! The bytes of an upload until it is complete: few of them in memory, more in a file without a name.
+//! The bytes of an incomplete upload: small uploads in memory, larger ones in a file without a name.
 
 use std::fs::File;
 use std::io::{Read, Seek as _, Write as _};
@@ -6,47 +6,49 @@ use std::io::{Read, Seek as _, Write as _};
 use sightline_proto::chunks::{ChunkError, Sequence};
 use sightline_proto::v1;
 use sightline_records::ids::Digest;
-use sightline_store::BlobError;
+use sightline_store::{BlobError, Blobs};
 
 use crate::quota::{LimitExceeded, Reserved, Sender};
-use crate::state::Coordinator;
+use crate::telemetry::metrics::Metrics;
+use crate::uploads::state::UploadState;
 
-/// Bytes that stay in memory. Many calls at once hold as much each.
+/// Maximum size of an upload in memory, in bytes. Each of many simultaneous calls may use as much.
 const MAX_IN_MEMORY: usize = 64 << 10;
 
 /// An upload that is not complete.
 pub(crate) struct Spool {
-    place: Place,
+    storage: SpoolStorage,
     announced: u64,
     sequence: Sequence,
     length: u64,
     hasher: blake3::Hasher,
-    /// Given back when the spool is dropped.
+    /// The reservation of bytes, which ends when the spool is dropped.
     _reserved: Reserved,
 }
 
-enum Place {
+enum SpoolStorage {
     Memory(Vec<u8>),
     File(File),
 }
 
-/// An error of an upload that is not what it announces, or cannot be stored.
+/// An error of an upload that differs from its announcement, or cannot be stored.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SpoolError {
-    /// The upload is too large for now.
+    /// The upload exceeds the limit of unfinished uploads.
     #[error(transparent)]
     LimitExceeded(#[from] LimitExceeded),
-    /// A chunk is damaged or not the next one, or some are missing.
+    /// A chunk is damaged, out of order or missing.
     #[error(transparent)]
     Chunk(#[from] ChunkError),
-    /// The length is not the announced one.
+    /// The length differs from the announced length.
     #[error(
-        "{got} bytes arrived or were announced by the first chunk; the header announced {announced}"
+        "{got} bytes arrived or were announced by the first chunk, but the header announced \
+         {announced}"
     )]
     Length {
-        /// The announced length.
+        /// The announced length in bytes.
         announced: u64,
-        /// The length of the chunks.
+        /// The length of the received chunks in bytes.
         got: u64,
     },
     /// The disk fails.
@@ -55,19 +57,20 @@ pub(crate) enum SpoolError {
 }
 
 impl Spool {
-    /// Begins an upload of `announced` bytes. Reserves the bytes before the first one arrives.
+    /// Starts an upload of `announced` bytes, and reserves the bytes before the first one arrives.
     ///
     /// # Errors
-    /// [`SpoolError::LimitExceeded`] when unfinished uploads have too many bytes already.
+    /// [`SpoolError::LimitExceeded`] if unfinished uploads already have too many bytes.
     pub(crate) fn begin(
-        c: &Coordinator,
+        uploads: &UploadState,
+        metrics: &Metrics,
         sender: Sender<'_>,
         announced: u64,
     ) -> Result<Self, SpoolError> {
-        let reserved = c.unfinished.reserve(sender, announced);
-        let reserved = reserved.inspect_err(|beyond| c.metrics.refused(beyond.name()))?;
+        let reserved = uploads.unfinished.reserve(sender, announced);
+        let reserved = reserved.inspect_err(|beyond| metrics.refused(beyond.name()))?;
         Ok(Self {
-            place: Place::Memory(Vec::new()),
+            storage: SpoolStorage::Memory(Vec::new()),
             announced,
             sequence: Sequence::new(announced),
             length: 0,
@@ -76,11 +79,11 @@ impl Spool {
         })
     }
 
-    /// Adds the next chunk.
+    /// Appends the next chunk.
     ///
     /// # Errors
-    /// [`SpoolError`] when the chunk is not the next one, or cannot be written.
-    pub(crate) fn push(&mut self, c: &Coordinator, chunk: &v1::Chunk) -> Result<(), SpoolError> {
+    /// [`SpoolError`] if the chunk is not the next one, or cannot be written.
+    pub(crate) fn push(&mut self, blobs: &dyn Blobs, chunk: &v1::Chunk) -> Result<(), SpoolError> {
         if chunk.offset == 0 && chunk.total != self.announced {
             return Err(SpoolError::Length {
                 announced: self.announced,
@@ -88,14 +91,14 @@ impl Spool {
             });
         }
         self.sequence.next(chunk)?;
-        self.append(c, &chunk.data)
+        self.append(blobs, &chunk.data)
     }
 
-    /// Adds the next bytes.
+    /// Appends the next bytes.
     ///
     /// # Errors
-    /// [`SpoolError`] when there are more than announced, or they cannot be written.
-    pub(crate) fn append(&mut self, c: &Coordinator, bytes: &[u8]) -> Result<(), SpoolError> {
+    /// [`SpoolError`] if the upload has more bytes than announced, or the bytes cannot be written.
+    pub(crate) fn append(&mut self, blobs: &dyn Blobs, bytes: &[u8]) -> Result<(), SpoolError> {
         let length = self.length.saturating_add(bytes.len() as u64);
         if length > self.announced {
             return Err(SpoolError::Length {
@@ -103,17 +106,17 @@ impl Spool {
                 got: length,
             });
         }
-        if let Place::Memory(few) = &self.place
+        if let SpoolStorage::Memory(few) = &self.storage
             && few.len() + bytes.len() > MAX_IN_MEMORY
-            // Blobs in memory have no files.
-            && let Some(mut file) = c.blobs.scratch()?
+            // A blob store in memory has no files.
+            && let Some(mut file) = blobs.scratch()?
         {
-            file.write_all(few).map_err(|e| c.blobs.io_error(e))?;
-            self.place = Place::File(file);
+            file.write_all(few).map_err(|e| blobs.io_error(e))?;
+            self.storage = SpoolStorage::File(file);
         }
-        match &mut self.place {
-            Place::Memory(few) => few.extend_from_slice(bytes),
-            Place::File(file) => file.write_all(bytes).map_err(|e| c.blobs.io_error(e))?,
+        match &mut self.storage {
+            SpoolStorage::Memory(few) => few.extend_from_slice(bytes),
+            SpoolStorage::File(file) => file.write_all(bytes).map_err(|e| blobs.io_error(e))?,
         }
         self.hasher.update(bytes);
         self.length = length;
@@ -123,15 +126,15 @@ impl Spool {
     /// Checks that an upload in chunks is complete.
     ///
     /// # Errors
-    /// [`SpoolError::Chunk`] when chunks are missing.
+    /// [`SpoolError::Chunk`] if chunks are missing.
     pub(crate) fn ended(&self) -> Result<(), SpoolError> {
         Ok(self.sequence.end().map(|_| ())?)
     }
 
-    /// Returns the digest of an upload that is complete.
+    /// Returns the digest of a complete upload.
     ///
     /// # Errors
-    /// [`SpoolError::Length`] when bytes are missing.
+    /// [`SpoolError::Length`] if bytes are missing.
     pub(crate) fn digest(&self) -> Result<Digest, SpoolError> {
         if self.length != self.announced {
             return Err(SpoolError::Length {
@@ -147,7 +150,7 @@ impl Spool {
         self.length == self.announced
     }
 
-    /// Returns the announced length.
+    /// Returns the announced length in bytes.
     pub(crate) fn announced(&self) -> u64 {
         self.announced
     }
@@ -155,28 +158,28 @@ impl Spool {
     /// Reads the upload into memory.
     ///
     /// # Errors
-    /// When the file cannot be read.
-    pub(crate) fn bytes(&mut self, c: &Coordinator) -> Result<Vec<u8>, BlobError> {
-        // As many as have arrived, so that a short file needs little memory.
+    /// [`BlobError`] if the file cannot be read.
+    pub(crate) fn bytes(&mut self, blobs: &dyn Blobs) -> Result<Vec<u8>, BlobError> {
+        // The capacity is the number of received bytes, so that a short file needs little memory.
         let mut bytes = Vec::with_capacity(usize::try_from(self.length).unwrap_or(0));
-        self.read(c, |from| from.read_to_end(&mut bytes))?
-            .map_err(|e| c.blobs.io_error(e))?;
+        self.read(blobs, |from| from.read_to_end(&mut bytes))?
+            .map_err(|e| blobs.io_error(e))?;
         Ok(bytes)
     }
 
     /// Calls `with` with a reader of the upload.
     ///
     /// # Errors
-    /// When the file cannot be read.
+    /// [`BlobError`] if the file cannot be read.
     pub(crate) fn read<T>(
         &mut self,
-        c: &Coordinator,
+        blobs: &dyn Blobs,
         with: impl FnOnce(&mut dyn Read) -> T,
     ) -> Result<T, BlobError> {
-        match &mut self.place {
-            Place::Memory(few) => Ok(with(&mut &few[..])),
-            Place::File(file) => {
-                file.rewind().map_err(|e| c.blobs.io_error(e))?;
+        match &mut self.storage {
+            SpoolStorage::Memory(few) => Ok(with(&mut &few[..])),
+            SpoolStorage::File(file) => {
+                file.rewind().map_err(|e| blobs.io_error(e))?;
                 Ok(with(file))
             }
         }
@@ -188,14 +191,30 @@ mod tests {
     use sightline_proto::chunks;
 
     use super::*;
-    use crate::clock::SystemClock;
-    use crate::state::Leases;
-    use sightline_store::{FileBlobs, MemoryBlobs, MemoryStore};
+    use sightline_store::{FileBlobs, MemoryBlobs};
 
-    fn filled(c: &Coordinator, bytes: &[u8], announced: u64) -> Result<Spool, SpoolError> {
-        let mut spool = Spool::begin(c, Sender::User("ada"), announced)?;
-        chunks::cut(bytes).try_for_each(|chunk| spool.push(c, &chunk))?;
-        spool.digest().map(|_| spool)
+    /// The state that an upload needs in these tests.
+    #[derive(Default)]
+    struct Uploading {
+        uploads: UploadState,
+        metrics: Metrics,
+    }
+
+    impl Uploading {
+        fn begin(&self, sender: Sender<'_>, announced: u64) -> Result<Spool, SpoolError> {
+            Spool::begin(&self.uploads, &self.metrics, sender, announced)
+        }
+
+        fn filled(
+            &self,
+            blobs: &dyn Blobs,
+            bytes: &[u8],
+            announced: u64,
+        ) -> Result<Spool, SpoolError> {
+            let mut spool = self.begin(Sender::User("ada"), announced)?;
+            chunks::cut(bytes).try_for_each(|chunk| spool.push(blobs, &chunk))?;
+            spool.digest().map(|_| spool)
+        }
     }
 
     #[test]
@@ -206,45 +225,45 @@ mod tests {
             Box::new(FileBlobs::open(folder.path()).unwrap()),
         ];
         for blobs in blobs {
-            let (store, clock) = (Box::new(MemoryStore::new()), Box::new(SystemClock));
-            let c = Coordinator::new(Leases::default(), store, blobs, clock).unwrap();
+            let blobs = &*blobs;
+            let c = Uploading::default();
             for n in [0, 1, chunks::CHUNK_BYTES, 3 * chunks::CHUNK_BYTES + 5] {
                 let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
-                let mut spool = filled(&c, &bytes, n as u64).unwrap();
-                assert!(spool.is_complete() && c.unfinished.of("ada") == n as u64);
+                let mut spool = c.filled(blobs, &bytes, n as u64).unwrap();
+                assert!(spool.is_complete() && c.uploads.unfinished.bytes_of("ada") == n as u64);
                 assert_eq!(spool.digest().unwrap(), *blake3::hash(&bytes).as_bytes());
                 let mut read = Vec::new();
                 spool
-                    .read(&c, |from| from.read_to_end(&mut read).unwrap())
+                    .read(blobs, |from| from.read_to_end(&mut read).unwrap())
                     .unwrap();
                 assert!(
-                    read == bytes && spool.bytes(&c).unwrap() == bytes,
+                    read == bytes && spool.bytes(blobs).unwrap() == bytes,
                     "{n} bytes"
                 );
                 drop(spool);
-                assert_eq!(c.unfinished.of("ada"), 0);
-                // Fewer and more than were announced.
+                assert_eq!(c.uploads.unfinished.bytes_of("ada"), 0);
+                // More and fewer bytes are announced than sent.
                 for announced in [n as u64 + 1, (n as u64).saturating_sub(1)] {
-                    let wrong = filled(&c, &bytes, announced).err();
+                    let wrong = c.filled(blobs, &bytes, announced).err();
                     assert!(
                         wrong.is_some() == (announced != n as u64),
                         "{n} of {announced} bytes"
                     );
                 }
             }
-            // Bytes without chunks are counted, too.
-            let mut spool = Spool::begin(&c, Sender::Worker, 3).unwrap();
-            spool.append(&c, b"ab").unwrap();
+            // Bytes without chunks count, too.
+            let mut spool = c.begin(Sender::Worker, 3).unwrap();
+            spool.append(blobs, b"ab").unwrap();
             assert!(spool.digest().is_err());
             assert!(matches!(
-                spool.append(&c, b"cd"),
+                spool.append(blobs, b"cd"),
                 Err(SpoolError::Length {
                     announced: 3,
                     got: 4
                 })
             ));
             assert!(matches!(
-                Spool::begin(&c, Sender::Worker, u64::MAX),
+                c.begin(Sender::Worker, u64::MAX),
                 Err(SpoolError::LimitExceeded(_))
             ));
         }

@@ -1,22 +1,23 @@
-//! Whether a user may have more: asked before anything of a user is stored.
+//! Checks of users' quotas, before data of a user is stored.
 
 use std::sync::{MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use sightline_store::StoreError;
 
-use crate::locks::Ranked;
+use crate::coordinator::Coordinator;
+use crate::locks::{self, Rank, Ranked};
 use crate::quota::{LimitExceeded, Quota, Usage, usage};
-use crate::state::Coordinator;
+use crate::records::JobChanges;
 use crate::uploads::chunks::MAX_CHUNKS;
 
-/// How old the count may be to which a chunk is added.
+/// Maximum age of the usage count that a new chunk is added to.
 const COUNTED_EVERY: Duration = Duration::from_secs(2);
 
-/// Something that is not stored.
+/// The reason why data of a user is not stored.
 #[derive(Debug, thiserror::Error)]
-pub enum HavingError {
-    /// It would be too much.
+pub enum ReservationError {
+    /// The data would exceed a limit.
     #[error(transparent)]
     LimitExceeded(#[from] LimitExceeded),
     /// The store failed.
@@ -29,26 +30,44 @@ fn is_bounded(quota: &Quota, owner: &str) -> bool {
     !owner.is_empty() && bounds.iter().any(Option::is_some)
 }
 
-/// The right to add to what an owner has, who has a bound: until it is recorded.
-pub(crate) fn turn_of<'a>(c: &'a Coordinator, owner: &str) -> Option<Ranked<MutexGuard<'a, ()>>> {
-    is_bounded(&c.quotas.of(owner), owner).then(|| c.quota_turn())
+/// The right to add to the usage of an owner. While it exists, no other call adds to the usage of an owner
+/// with a limit. So the caller checks the usage and records the addition under one lock.
+pub(crate) struct QuotaReservation<'c> {
+    c: &'c Coordinator,
+    owner: String,
+    _lock: Option<Ranked<MutexGuard<'c, ()>>>,
 }
 
-/// Whether an owner may have this, too; nobody may have anything. Chunks that are no scene yet count, but for
-/// `known` bytes of them that become what is asked for.
-pub(crate) fn reserve_quota(
-    c: &Coordinator,
-    owner: &str,
-    more: Usage,
-    known: u64,
-) -> Result<(), HavingError> {
-    decide(c, owner, more, known, Duration::ZERO)
+impl<'c> QuotaReservation<'c> {
+    /// Waits for the lock if the owner has a limit. A thread that holds [`JobChanges`] must not call this.
+    pub(crate) fn begin(c: &'c Coordinator, owner: &str) -> Self {
+        let lock = || locks::lock(Rank::Quota, &c.users.quota);
+        Self {
+            c,
+            owner: owner.to_owned(),
+            _lock: is_bounded(&c.config.quotas.for_user(owner), owner).then(lock),
+        }
+    }
+
+    /// Checks an addition to the usage of the owner. Chunks that do not form a scene yet count, except for
+    /// `known` bytes of chunks that become part of the addition.
+    ///
+    /// # Errors
+    /// [`ReservationError`] if the usage would exceed a limit, or the store cannot be read.
+    pub(crate) fn reserve(&self, more: Usage, known: u64) -> Result<(), ReservationError> {
+        decide(self.c, &self.owner, more, known, Duration::ZERO)
+    }
+
+    /// Waits for the lock of the records of jobs, under which the addition is recorded.
+    pub(crate) fn job_changes(&self) -> JobChanges<'c> {
+        JobChanges::begin(self.c)
+    }
 }
 
-/// Checks that an owner may send another chunk of this length. The owner's usage is counted again after two
-/// seconds. Chunks are limited in number, too.
-pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), HavingError> {
-    if !c.uploads.has_room(owner) {
+/// Checks that an owner may upload another chunk of this length. The owner's usage is counted again after two
+/// seconds. The number of chunks is limited, too.
+pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), ReservationError> {
+    if !c.uploads.chunks.has_room(owner) {
         let (user, most) = (owner.to_owned(), MAX_CHUNKS as u64);
         let beyond = LimitExceeded::Quota {
             user,
@@ -56,7 +75,7 @@ pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), H
             most,
             wanted: most + 1,
         };
-        c.metrics.refused(beyond.name());
+        c.telemetry.metrics.refused(beyond.name());
         return Err(beyond.into());
     }
     decide(
@@ -77,17 +96,21 @@ fn decide(
     more: Usage,
     known: u64,
     old: Duration,
-) -> Result<(), HavingError> {
-    let quota = c.quotas.of(owner);
+) -> Result<(), ReservationError> {
+    let quota = c.config.quotas.for_user(owner);
     if !is_bounded(&quota, owner) {
         return Ok(());
     }
     let has = {
-        let mut counted = c.counted.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut counted = c
+            .users
+            .counted
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         match counted.get(owner).filter(|(at, _)| at.elapsed() < old) {
             Some((_, has)) => *has,
             None => {
-                let has = usage(c.store.queries(), owner)?;
+                let has = usage(c.records.queries(), owner)?;
                 counted.retain(|_, (at, _)| at.elapsed() < COUNTED_EVERY);
                 counted.insert(owner.to_owned(), (Instant::now(), has));
                 has
@@ -96,12 +119,13 @@ fn decide(
     };
     let sent = c
         .uploads
+        .chunks
         .bytes(owner)
-        .saturating_add(c.unfinished.of(owner));
+        .saturating_add(c.uploads.unfinished.bytes_of(owner));
     let chunks = Usage {
         bytes: sent.saturating_sub(known),
         ..Usage::default()
     };
     let within = has.and(chunks).and(more).within(&quota, owner);
-    Ok(within.inspect_err(|beyond| c.metrics.refused(beyond.name()))?)
+    Ok(within.inspect_err(|beyond| c.telemetry.metrics.refused(beyond.name()))?)
 }

@@ -1,81 +1,83 @@
-//! Crews: where the leader of a tile and its helpers meet, and the outcomes that they leave.
+//! Crews: the channels between the leader of a tile and its helpers, and the stored outcomes of phases.
 //!
-//! The coordinator passes messages on and keeps outcomes; it does not look into them. A member that does not
-//! read its stream delays nobody: helpers read outcomes from the disk at their own pace, and a helper whose
-//! mailbox is full is sent away.
+//! The coordinator forwards messages and stores outcomes without decoding them. A member that does not read
+//! its stream does not delay other members: helpers read outcomes from the disk at their own pace, and a
+//! helper whose mailbox is full is disconnected.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use sightline_numbers::ids::PhaseIndex;
 use sightline_proto::v1::Chunk;
 use sightline_records::ids::{JobId, Lease, TileIndex};
 use sightline_store::Outcomes;
 use tokio::sync::{mpsc, watch};
 
-/// Messages to a member that wait until it reads them.
+/// Maximum number of messages that wait for a member.
 pub(crate) const WAITING: usize = 16;
 
-/// Items of a phase for a helper.
+/// The items of a phase that a helper computes.
 #[derive(Clone, Debug)]
 pub(crate) struct Assignment {
-    pub(crate) phase: u32,
+    pub(crate) phase: PhaseIndex,
     pub(crate) items: Vec<u32>,
 }
 
-/// What the leader is told.
+/// A message to the leader.
 #[derive(Debug)]
 pub(crate) enum LeaderMessage {
+    /// The helper with this number has joined.
     Joined(u64),
+    /// The helper with this number has left.
     Left(u64),
-    /// The outcomes of this many phases are there.
+    /// The outcomes of this many phases are stored.
     Kept(u32),
-    Ask {
-        member: u64,
-        phase: u32,
-    },
-    /// A chunk of a helper's finds.
+    /// A helper requests items of this phase.
+    Ask { member: u64, phase: PhaseIndex },
+    /// A chunk of the results of a helper's items.
     Found {
         member: u64,
-        phase: u32,
+        phase: PhaseIndex,
         items: Vec<u32>,
         chunk: Option<Chunk>,
     },
 }
 
-/// All crews.
+/// The crews of all tiles.
 pub(crate) struct Crews {
     pub(crate) outcomes: Outcomes,
-    rooms: Mutex<BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>>,
-    /// Held while a crew opens or closes and the scheduler hears of it.
+    channels: Mutex<BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>>,
+    /// The lock that a thread holds while it opens or closes a crew and notifies the scheduler.
     turn: Mutex<()>,
 }
 
-/// A crew with a leader.
+/// The channel between the members of a crew.
 pub(crate) struct CrewChannel {
     pub(crate) lease: Lease,
     pub(crate) to_leader: mpsc::Sender<LeaderMessage>,
     helpers: Mutex<Helpers>,
-    /// Number of outcomes that are there.
+    /// The number of stored outcomes.
     pub(crate) outcomes: watch::Sender<u32>,
-    /// Whether the crew has ended.
+    /// True if the crew has ended.
     pub(crate) is_over: watch::Sender<bool>,
 }
 
 /// The helpers of a crew.
 #[derive(Default)]
 struct Helpers {
-    /// Numbers are not used again: a message about the last bearer may be on its way.
+    /// The number of the next helper. Numbers are not reused, because a message about a previous helper may
+    /// still be in transit.
     next: u64,
     mailboxes: BTreeMap<u64, mpsc::Sender<Assignment>>,
 }
 
 impl CrewChannel {
-    /// The tile of the crew.
+    /// Returns the tile of the crew.
     pub(crate) fn tile(&self) -> (JobId, TileIndex) {
         (self.lease.job, self.lease.tile)
     }
 
-    /// Lets a helper in; its number and its mailbox.
+    /// Adds a helper. Returns its number and its mailbox.
     pub(crate) fn enter(&self) -> (u64, mpsc::Receiver<Assignment>) {
         let (send, receive) = mpsc::channel(WAITING);
         let mut helpers = self.helpers();
@@ -85,100 +87,100 @@ impl CrewChannel {
         (member, receive)
     }
 
-    /// A helper has gone, or has to go: without its mailbox its stream ends.
+    /// Removes a helper. Without its mailbox, the stream of a connected helper ends.
     pub(crate) fn leave(&self, member: u64) {
         self.helpers().mailboxes.remove(&member);
     }
 
-    /// Passes items to a helper. One with a full mailbox does not get them, and has to go.
-    pub(crate) fn pass(&self, member: u64, take: Assignment) {
+    /// Passes items to a helper. A helper with a full mailbox does not receive them and is removed.
+    pub(crate) fn pass(&self, member: u64, assignment: Assignment) {
         let sent = self
             .helpers()
             .mailboxes
             .get(&member)
-            .map(|mailbox| mailbox.try_send(take));
+            .map(|mailbox| mailbox.try_send(assignment));
         if sent.is_some_and(|sent| sent.is_err()) {
             self.leave(member);
         }
     }
 
     fn helpers(&self) -> MutexGuard<'_, Helpers> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.helpers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Crews {
-    /// No crews, and the outcomes of earlier ones.
+    /// Creates a table without crews, on the outcomes of earlier crews.
     pub(crate) fn new(outcomes: Outcomes) -> Self {
         Self {
             outcomes,
-            rooms: Mutex::default(),
+            channels: Mutex::default(),
             turn: Mutex::default(),
         }
     }
 
-    /// Waits for the turn to open or close a crew.
+    /// Waits for the lock that orders the opening and closing of crews.
     pub(crate) fn turn(&self) -> MutexGuard<'_, ()> {
         self.turn.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the tile of this lease has a crew under another lease that is still valid.
+    /// Returns true if the tile of this lease has a crew under another valid lease.
     pub(crate) fn is_led_by_another(
         &self,
         lease: &Lease,
         is_valid: impl Fn(&Lease) -> bool,
     ) -> bool {
-        let rooms = self.rooms();
-        let room = rooms.get(&(lease.job, lease.tile));
-        room.is_some_and(|room| room.lease != *lease && is_valid(&room.lease))
+        let channels = self.channels();
+        let channel = channels.get(&(lease.job, lease.tile));
+        channel.is_some_and(|channel| channel.lease != *lease && is_valid(&channel.lease))
     }
 
-    /// Opens the crew of a tile, of which so many outcomes are there, for the holder of its lease. A crew of
-    /// an earlier leader ends. Returns the messages to the leader as well.
+    /// Opens the crew of a tile for the holder of its lease. `outcomes` is the number of stored outcomes.
+    /// Ends the crew of an earlier leader. Returns the crew and the messages to the leader.
     pub(crate) fn open(
         &self,
         lease: Lease,
         outcomes: u32,
     ) -> (Arc<CrewChannel>, mpsc::Receiver<LeaderMessage>) {
         let tile = (lease.job, lease.tile);
-        let (to_leader, told) = mpsc::channel(WAITING);
-        let room = Arc::new(CrewChannel {
+        let (to_leader, messages) = mpsc::channel(WAITING);
+        let channel = Arc::new(CrewChannel {
             lease,
             to_leader,
             helpers: Mutex::default(),
             outcomes: watch::Sender::new(outcomes),
             is_over: watch::Sender::new(false),
         });
-        if let Some(earlier) = self.rooms().insert(tile, Arc::clone(&room)) {
+        if let Some(earlier) = self.channels().insert(tile, Arc::clone(&channel)) {
             earlier.is_over.send_replace(true);
         }
-        (room, told)
+        (channel, messages)
     }
 
-    /// The crew that is led under a lease.
+    /// Returns the crew that is led under a lease.
     pub(crate) fn find(&self, lease: &Lease) -> Option<Arc<CrewChannel>> {
-        self.rooms()
+        self.channels()
             .get(&(lease.job, lease.tile))
-            .filter(|room| room.lease == *lease)
+            .filter(|channel| channel.lease == *lease)
             .cloned()
     }
 
-    /// Ends a crew; returns whether it was still the tile's.
-    pub(crate) fn close(&self, room: &Arc<CrewChannel>) -> bool {
-        room.is_over.send_replace(true);
-        let mut rooms = self.rooms();
-        let is_current = rooms
-            .get(&room.tile())
-            .is_some_and(|r| Arc::ptr_eq(r, room));
+    /// Ends a crew. Returns true if it was the tile's current crew.
+    pub(crate) fn close(&self, channel: &Arc<CrewChannel>) -> bool {
+        channel.is_over.send_replace(true);
+        let mut channels = self.channels();
+        let is_current = channels
+            .get(&channel.tile())
+            .is_some_and(|r| Arc::ptr_eq(r, channel));
         if is_current {
-            rooms.remove(&room.tile());
+            channels.remove(&channel.tile());
         }
         is_current
     }
 
-    fn rooms(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>> {
-        // Each change is whole before anything can panic.
-        self.rooms.lock().unwrap_or_else(PoisonError::into_inner)
+    fn channels(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>> {
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
+        self.channels.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,15 +1,16 @@
-//! Identities of workers: they distinguish a worker from others that use its name.
+//! Identities of workers, which distinguish workers with the same name.
 //!
 //! A worker with a token or a certificate is identified by its user. Every other worker receives a random
-//! identity at its first connection, and shows it at later ones. Quarantine and authorship belong to the name
-//! together with the identity, so a stranger cannot bring a worker of the same name into quarantine.
+//! identity at its first connection, and shows it at later ones. Quarantine and authorship apply to the name
+//! together with the identity. So an unknown worker cannot cause the quarantine of a worker with the same
+//! name.
 
 use sightline_records::ids::WorkerIdentity;
 use sightline_store::{StoreError, StoreIdentity};
 
 use crate::access::Caller;
 
-/// The purpose of the key.
+/// The context string of the key.
 const PURPOSE: &str = "sightline 2026-11-28 identities of workers";
 /// The length of a proof, in bytes.
 const PROOF_BYTES: usize = 16;
@@ -24,12 +25,12 @@ impl IdentityProofs {
         Self(identity.key(PURPOSE))
     }
 
-    /// Returns the identity of a worker, with the bytes to show next time. A token decides, then a
-    /// checked certificate, then the bytes that the worker shows. A worker that shows no bytes, or wrong
+    /// Returns the identity of a worker, with the bytes that the worker shows next time. A token has
+    /// precedence, then a checked certificate, then the shown bytes. A worker that shows no bytes, or wrong
     /// bytes, receives a new identity.
     ///
     /// # Errors
-    /// [`StoreError::Random`] when the system has no random numbers.
+    /// [`StoreError::Random`] if the system has no random numbers.
     pub(crate) fn identify(
         &self,
         caller: &Caller,
@@ -51,7 +52,7 @@ impl IdentityProofs {
         Ok((id, number.into_iter().chain(self.proof(number)).collect()))
     }
 
-    /// Returns the identity of a credential of a kind.
+    /// Derives the identity of a credential. `kind` separates users from certificates.
     fn derived(&self, kind: &[u8; 4], credential: &[u8]) -> WorkerIdentity {
         let mut number = [0; 8];
         let mut hasher = blake3::Hasher::new_keyed(&self.0);
@@ -63,7 +64,7 @@ impl IdentityProofs {
         WorkerIdentity(u64::from_be_bytes(number))
     }
 
-    /// Returns the identity of bytes with the right proof.
+    /// Returns the identity in bytes with a correct proof, or `None`.
     fn check(&self, shown: &[u8]) -> Option<WorkerIdentity> {
         let (number, proof) = shown.split_first_chunk::<8>()?;
         let is_right = proof.len() == PROOF_BYTES

@@ -1,22 +1,22 @@
-//! Tags of leases: proofs that a coordinator of this store gave a lease.
+//! Tags of leases, which prove that a coordinator of this store granted a lease.
 //!
 //! A tag is a keyed BLAKE3 hash of the lease and its use, under a key of the store. So a coordinator
-//! recognises leases of earlier epochs without a record of each, and a client cannot forge one. The tag of a
-//! helper differs from the tag of the leader, so that a helper cannot send the output.
+//! recognises leases of earlier epochs without a record of each, and a client cannot forge a lease. The tag
+//! of a helper differs from the tag of the leader, so a helper cannot send the output.
 
 use sightline_proto::v1;
 use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
 use sightline_store::StoreIdentity;
 
-/// The purpose of the key.
+/// The context string of the key.
 const PURPOSE: &str = "sightline 2026-11-28 tags of leases";
 
-/// The use that a lease is for.
+/// The use of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Use {
-    /// To compute the tile and to send its output.
+pub(crate) enum LeaseUse {
+    /// Permission to compute the tile and to send its output.
     Hold,
-    /// To help the holder.
+    /// Permission to help the holder of the lease.
     Help,
 }
 
@@ -27,15 +27,15 @@ pub(crate) struct LeaseTags([u8; 32]);
 /// A lease whose tag is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "lease {} of epoch {} on tile {} of job {} was never given by this coordinator; workers send leases back \
-     as they came",
+    "lease {} of epoch {} on tile {} of job {} was never granted by this coordinator; workers must \
+     return leases unchanged",
     lease.id.number,
     lease.id.epoch.0,
     lease.tile,
     lease.job
 )]
-pub(crate) struct Forged {
-    /// The lease as it was named.
+pub(crate) struct ForgedLease {
+    /// The lease that the message names.
     pub(crate) lease: Lease,
 }
 
@@ -46,7 +46,7 @@ impl LeaseTags {
     }
 
     /// Returns the wire form of a lease with its tag.
-    pub(crate) fn to_wire(&self, lease: &Lease, to: Use) -> v1::Lease {
+    pub(crate) fn to_wire(&self, lease: &Lease, to: LeaseUse) -> v1::Lease {
         let Lease { job, tile, id } = *lease;
         let tag = self.tag(lease, to);
         v1::Lease {
@@ -58,11 +58,11 @@ impl LeaseTags {
         }
     }
 
-    /// Reads a lease whose tag is right.
+    /// Checks the tag of a lease and returns the lease.
     ///
     /// # Errors
-    /// [`Forged`] for every other lease.
-    pub(crate) fn check(&self, lease: &v1::Lease, to: Use) -> Result<Lease, Forged> {
+    /// [`ForgedLease`] if the tag is wrong.
+    pub(crate) fn check(&self, lease: &v1::Lease, to: LeaseUse) -> Result<Lease, ForgedLease> {
         let id = LeaseId {
             epoch: Epoch(lease.epoch),
             number: lease.lease,
@@ -75,16 +75,16 @@ impl LeaseTags {
         if self.tag(&named, to) == lease.tag {
             Ok(named)
         } else {
-            Err(Forged { lease: named })
+            Err(ForgedLease { lease: named })
         }
     }
 
-    fn tag(&self, lease: &Lease, to: Use) -> u64 {
+    fn tag(&self, lease: &Lease, to: LeaseUse) -> u64 {
         let Lease { job, tile, id } = *lease;
         let mut hasher = blake3::Hasher::new_keyed(&self.0);
         hasher.update(&[match to {
-            Use::Hold => 1,
-            Use::Help => 2,
+            LeaseUse::Hold => 1,
+            LeaseUse::Help => 2,
         }]);
         hasher.update(&job.0.to_le_bytes());
         hasher.update(&tile.0.to_le_bytes());
@@ -114,14 +114,14 @@ mod tests {
     }
 
     #[test]
-    fn only_given_lease_is_accepted_and_only_for_its_use() {
+    fn only_granted_lease_is_accepted_and_only_for_its_use() {
         let identity = StoreIdentity::random().unwrap();
         let tags = LeaseTags::new(&identity);
         let given = lease(3, 5, 2, 7);
-        let wire = tags.to_wire(&given, Use::Hold);
-        assert_eq!(tags.check(&wire, Use::Hold), Ok(given));
+        let wire = tags.to_wire(&given, LeaseUse::Hold);
+        assert_eq!(tags.check(&wire, LeaseUse::Hold), Ok(given));
         assert_eq!(
-            LeaseTags::new(&identity).check(&wire, Use::Hold),
+            LeaseTags::new(&identity).check(&wire, LeaseUse::Hold),
             Ok(given),
             "a restart keeps the key"
         );
@@ -135,10 +135,10 @@ mod tests {
                 ..wire
             },
             v1::Lease { tag: 0, ..wire },
-            tags.to_wire(&given, Use::Help),
+            tags.to_wire(&given, LeaseUse::Help),
         ];
         for other in others {
-            let refusal = tags.check(&other, Use::Hold).unwrap_err();
+            let refusal = tags.check(&other, LeaseUse::Hold).unwrap_err();
             let text = refusal.to_string();
             assert!(
                 text.contains(&format!("tile {} of job {}", other.tile, other.job)),
@@ -147,13 +147,13 @@ mod tests {
         }
         let foreign = LeaseTags::new(&StoreIdentity::random().unwrap());
         assert!(
-            foreign.check(&wire, Use::Hold).is_err(),
+            foreign.check(&wire, LeaseUse::Hold).is_err(),
             "a lease of another store"
         );
     }
 
     #[test]
-    fn hundred_thousand_random_leases_are_refused() {
+    fn hundred_thousand_random_leases_are_rejected() {
         let tags = LeaseTags::new(&StoreIdentity::random().unwrap());
         let mut random = SplitMix64::named(&[17]);
         for _ in 0..100_000 {
@@ -166,7 +166,8 @@ mod tests {
                 tag: random.bits(),
             };
             assert!(
-                tags.check(&forged, Use::Hold).is_err() && tags.check(&forged, Use::Help).is_err()
+                tags.check(&forged, LeaseUse::Hold).is_err()
+                    && tags.check(&forged, LeaseUse::Help).is_err()
             );
         }
     }

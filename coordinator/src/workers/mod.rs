@@ -5,3 +5,4 @@ pub(crate) mod identity;
 pub(crate) mod lease_tags;
 pub(crate) mod quarantine;
 pub(crate) mod sessions;
+pub(crate) mod state;

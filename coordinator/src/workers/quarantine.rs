@@ -1,4 +1,4 @@
-//! A quarantined worker works again.
+//! The release of workers from quarantine.
 
 use std::sync::Arc;
 
@@ -6,19 +6,19 @@ use sightline_records::ids::worker_name;
 use sightline_scheduler::Event;
 use sightline_store::StoreError;
 
+use crate::coordinator::Coordinator;
 use crate::records::JobChanges;
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 
-/// Lets quarantined workers work again: the one with this signature, or all with this name. Returns whether
-/// any was quarantined.
+/// Releases quarantined workers: the worker with this signature, or all workers with this name. Returns true
+/// if at least one was quarantined.
 ///
 /// # Errors
-/// The store's.
+/// [`StoreError`] if the store fails.
 pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
     let is_meant = |signature: &str| signature == worker || worker_name(signature) == worker;
     let quarantined = c
-        .store
+        .records
         .quarantined()?
         .into_iter()
         .map(|record| record.worker);
@@ -33,7 +33,7 @@ pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreE
         if was_quarantined? {
             let text = format!("worker {signature} may work again");
             tracing::warn!("{text}");
-            c.happened(LogEvent::of(Kind::Worker, text).on(&signature));
+            c.record_event(LogEvent::new(EventKind::Worker, text).on(&signature));
             any = true;
         }
     }

@@ -1,7 +1,7 @@
 //! Worker sessions: joining, the messages of a connected worker, leaving.
 //!
-//! Messages are handled where they arrive: the scheduler's lock is short, and the caller gets all
-//! work that blocks as follow-ups.
+//! A message is handled on the thread that receives it. This is fast, because the scheduler's lock is short
+//! and all blocking work is returned to the caller as follow-ups.
 
 use std::sync::Arc;
 
@@ -11,32 +11,32 @@ use sightline_scheduler::{
 };
 use tokio::sync::mpsc;
 
+use crate::coordinator::Coordinator;
+use crate::dispatch::FollowUps;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::{self, FollowUps, tell};
-use crate::state::Coordinator;
-use crate::telemetry::events::{Kind, LogEvent};
+use crate::telemetry::events::{EventKind, LogEvent};
 use crate::workers::crews::{CrewChannel, LeaderMessage};
 
 /// A message of a connected worker.
 pub(crate) enum Message {
-    /// It wants this many more tiles.
+    /// The worker requests this many more tiles.
     Want(u32),
-    /// It finishes the tiles that it holds and takes no more.
+    /// The worker finishes its leased tiles and requests no more.
     Draining,
     /// A tile makes progress.
     Progress(Progress),
     /// A tile failed.
     Failed(Failure),
-    /// It helps the holder of this lease no more.
+    /// The worker no longer helps the holder of this lease.
     Helped(Lease),
-    /// It timed its backends for a job.
+    /// The worker has timed its backends for a job.
     Timed(JobId, Vec<ProfileTime>),
 }
 
 /// Adds a worker.
 ///
 /// # Errors
-/// [`NameTaken`] when another worker of its name is connected.
+/// [`NameTaken`] if another worker with the same name is connected.
 pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
@@ -48,74 +48,74 @@ pub(crate) fn join(
         intro.profiles.join(", ")
     );
     let name = intro.name.clone();
-    let (joined, follow_ups) = dispatch::join(c, intro, out);
+    let (joined, follow_ups) = c
+        .dispatcher
+        .join(intro, out, c.scheduler_now(), &c.telemetry);
     let joined = joined?;
-    c.spans.held_again(&name, &joined.kept);
+    c.telemetry.spans.held_again(&name, &joined.kept);
     tracing::info!("{joining}");
-    c.happened(LogEvent::of(Kind::Worker, joining).on(name));
+    c.record_event(LogEvent::new(EventKind::Worker, joining).on(name));
     Ok((joined, follow_ups))
 }
 
 /// Removes a worker whose stream has ended.
 pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> FollowUps {
-    let (departure, follow_ups) = dispatch::leave(c, worker);
+    let (departure, follow_ups) = c.dispatcher.leave(worker, c.scheduler_now(), &c.telemetry);
     let text = match departure {
         Departure::Drained => format!("worker {name} has drained and left"),
-        Departure::Lost => format!("worker {name} has gone"),
+        Departure::Lost => format!("worker {name} has disconnected"),
     };
     tracing::info!("{text}");
-    c.happened(LogEvent::of(Kind::Worker, text).on(name));
+    c.record_event(LogEvent::new(EventKind::Worker, text).on(name));
     follow_ups
 }
 
-/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid or that of a
-/// check, or the tile has a crew under another lease that is.
+/// Opens the crew of a tile for the holder of its lease. Returns `None` if the lease is not valid or belongs
+/// to a check, or if the tile has a crew under another valid lease.
 pub(crate) fn lead(
     c: &Coordinator,
     lease: Lease,
 ) -> Option<(Arc<CrewChannel>, mpsc::Receiver<LeaderMessage>, FollowUps)> {
-    // Reads a file, before anybody has to wait.
-    let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
-    // The machine hears of crews in the order in which they open and close.
-    let _turn = c.crews.turn();
-    {
-        let scheduling = c.lock();
-        let is_leased = |lease: &Lease| scheduling.scheduler.is_leased(lease);
-        // Where two workers compute a tile, the first has the helpers.
-        // A check goes on from nothing that anybody has kept, and keeps nothing: what a wrong worker has left
-        // would make the next one agree with it.
-        let is_check = scheduling.scheduler.is_check(&lease);
-        if !is_leased(&lease) || is_check || c.crews.is_led_by_another(&lease, is_leased) {
-            return None;
-        }
+    // Reads a file, so do it before taking the lock.
+    let outcomes = c.workers.crews.outcomes.count((lease.job, lease.tile));
+    // The lock makes the scheduler receive the crews in the order in which they open and close.
+    let _turn = c.workers.crews.turn();
+    let may_lead = c.dispatcher.read(|scheduler| {
+        let is_leased = |lease: &Lease| scheduler.is_leased(lease);
+        // If two workers compute a tile, the first one has the helpers. A check does not use stored outcomes
+        // and stores none. Otherwise, the wrong outcomes of one worker would make the next worker agree with
+        // it.
+        is_leased(&lease)
+            && !scheduler.is_check(&lease)
+            && !c.workers.crews.is_led_by_another(&lease, is_leased)
+    });
+    if !may_lead {
+        return None;
     }
-    let (room, told) = c.crews.open(lease, outcomes);
-    Some((room, told, tell(c, Event::CrewOpened(lease))))
+    let (channel, messages) = c.workers.crews.open(lease, outcomes);
+    Some((channel, messages, c.tell(Event::CrewOpened(lease))))
 }
 
-/// A crew has ended: its leader has no use for helpers any more.
-pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<CrewChannel>) -> FollowUps {
-    let _turn = c.crews.turn();
-    // The same leader may have opened another crew meanwhile.
-    if c.crews.close(room) {
-        tell(c, Event::CrewClosed(room.lease))
+/// Ends a crew whose leader no longer needs helpers.
+pub(crate) fn crew_ended(c: &Coordinator, channel: &Arc<CrewChannel>) -> FollowUps {
+    let _turn = c.workers.crews.turn();
+    // The same leader may have opened another crew in the meantime.
+    if c.workers.crews.close(channel) {
+        c.tell(Event::CrewClosed(channel.lease))
     } else {
         FollowUps::default()
     }
 }
 
-/// Acts on a message of a worker.
+/// Handles a message of a worker.
 pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> FollowUps {
-    tell(
-        c,
-        match message {
-            Message::Want(tiles) => Event::Wanted(worker, tiles),
-            Message::Draining => Event::Drains(worker),
-            // A stale lease was revoked when it became stale, so the worker has been told.
-            Message::Progress(progress) => Event::Progressed(progress),
-            Message::Failed(failure) => Event::Failed(worker, failure),
-            Message::Helped(lease) => Event::Helped(worker, lease),
-            Message::Timed(job, times) => Event::Timed(worker, job, times),
-        },
-    )
+    c.tell(match message {
+        Message::Want(tiles) => Event::Wanted(worker, tiles),
+        Message::Draining => Event::Drains(worker),
+        // A stale lease was revoked when it became stale, so the worker has been notified.
+        Message::Progress(progress) => Event::Progressed(progress),
+        Message::Failed(failure) => Event::Failed(worker, failure),
+        Message::Helped(lease) => Event::Helped(worker, lease),
+        Message::Timed(job, times) => Event::Timed(worker, job, times),
+    })
 }

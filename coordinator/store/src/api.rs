@@ -1,4 +1,4 @@
-//! The trait of a store: the queries and commands that the coordinator's state consists of.
+//! The trait [`Store`]: the queries and commands on the coordinator's persistent state.
 
 use std::time::Duration;
 
@@ -12,48 +12,49 @@ use super::entries::Entry;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 
-/// Is told how long a durable write took.
+/// A callback that receives the duration of each durable write.
 pub type Report = Box<dyn Fn(Duration) + Send + Sync>;
 
-/// The queries of a store, which have no effect on it.
+/// The queries of a store. Queries do not change the store.
 pub trait Queries: Send + Sync {
-    /// The scene with this digest, if it was recorded.
+    /// Returns the scene with this digest, or `None` if it was not recorded.
     fn scene(&self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError>;
 
-    /// All scenes, ascending by digest.
+    /// Returns all scenes, ascending by digest.
     fn scenes(&self) -> Result<Vec<SceneRecord>, StoreError>;
 
-    /// One job.
+    /// Returns the job with this id, or `None` if it does not exist.
     fn job(&self, job: JobId) -> Result<Option<JobRecord>, StoreError>;
 
-    /// The newest `most` jobs whose ids are below `before`, ascending by id, and whether there are older
-    /// ones.
+    /// Returns the newest `most` jobs whose ids are below `before`, ascending by id. The flag is true if
+    /// older jobs exist.
     fn jobs_before(&self, before: JobId, most: usize)
     -> Result<(Vec<JobRecord>, bool), StoreError>;
 
-    /// All jobs, ascending by id, which is the order they were submitted in.
+    /// Returns all jobs, ascending by id, which is the order of submission.
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError>;
 
-    /// The newest job with this key, whatever its state.
+    /// Returns the newest job with this key, in any state.
     fn job_by_key(&self, key: &Digest) -> Result<Option<JobRecord>, StoreError>;
 
-    /// The job that answered the submission with this request id (its own or one it was joined to).
+    /// Returns the job that answered the submission with this request id: a new job, or an existing one.
     fn job_by_request(&self, request_id: &str) -> Result<Option<JobRecord>, StoreError>;
 
-    /// All tiles of a job, `0..job.tiles`; a tile without a record is open.
+    /// Returns all tiles of a job, `0..job.tiles`. A tile without a record is open.
     fn tiles(&self, job: JobId) -> Result<Vec<TileRecord>, StoreError>;
 
-    /// One tile of a job.
+    /// Returns one tile of a job.
     fn tile(&self, job: JobId, tile: TileIndex) -> Result<TileRecord, StoreError>;
 
-    /// Whether a command would be carried out now. Of a store that several coordinators share: whether this
-    /// one still leads. Changes nothing.
+    /// Checks that the store would accept a command now, without changing the store.
+    ///
+    /// If several coordinators share the store, checks that this coordinator still leads.
     fn may_change(&self) -> Result<(), StoreError>;
 
-    /// The epoch begun last; 0 before the first.
+    /// Returns the epoch that began last; 0 before the first epoch.
     fn epoch(&self) -> Result<u64, StoreError>;
 
-    /// Returns the workers that get no tiles, by name.
+    /// Returns the quarantined workers, which get no tiles, ascending by name.
     fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError>;
 
     /// Returns the last stamp of the clocks of retention, or `None` before the first.
@@ -63,36 +64,44 @@ pub trait Queries: Send + Sync {
     fn entries(&self) -> Result<Vec<Entry>, StoreError>;
 }
 
-/// The coordinator's persistent state.
+/// The persistent state of the coordinator.
 ///
-/// Every command is one transaction, durable when it returns `Ok`. A command that returns an error changed
-/// nothing, with one exception named at [`StoreError::Journal`]. Commands may be called from many threads;
-/// those in flight together share one disk sync.
+/// Every command is one transaction, and its changes are durable when it returns `Ok`. A command that returns
+/// an error has not changed the store, except for [`StoreError::Journal`], which documents the exception.
+/// Several threads may call commands at the same time; concurrent commands share one disk sync.
 pub trait Store: Queries {
-    /// Returns the identity of the store. The first call draws one and records it.
+    /// Returns the identity of the store. The first call generates the identity and records it.
     fn identity(&self) -> Result<StoreIdentity, StoreError>;
 
-    /// Records a scene. The same record again is accepted; another record under the same digest is refused.
+    /// Records a scene.
+    ///
+    /// An identical record is accepted again. A different record with the same digest is rejected.
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError>;
 
-    /// Records a job, or returns the existing job that answers the submission: the job this `request_id` was
-    /// answered by before, else the newest job of the same key unless that one failed or was cancelled. The
-    /// same `request_id` with another key is refused, and so is a scene that was not recorded.
+    /// Records a job, or returns the existing job that answers the submission.
+    ///
+    /// The store returns the job that an earlier submission with the same `request_id` received. Otherwise,
+    /// it returns the newest job with the same key, unless that job failed or was cancelled. The store
+    /// rejects a known `request_id` with another key, and a scene that was not recorded.
     fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError>;
 
-    /// Gives a job that has not ended another priority.
+    /// Changes the priority of a job that has not ended.
     fn prioritize_job(&self, job: JobId, priority: i32) -> Result<JobRecord, StoreError>;
 
-    /// Sets the number of tiles of a job submitted with `tiles: 0`, once its plan is known.
-    /// The same number again is accepted; another one is refused.
+    /// Sets the number of tiles of a job that was submitted with `tiles: 0`.
+    ///
+    /// The same number is accepted again. Another number is rejected.
     fn plan_job(&self, job: JobId, tiles: u32) -> Result<JobRecord, StoreError>;
 
-    /// Binds a job to a numerics profile. The first profile wins; returns the profile that the job is bound
-    /// to.
+    /// Binds a job to a numerics profile, and returns the profile that the job is bound to.
+    ///
+    /// The first profile stays; later calls do not change it.
     fn bind_profile(&self, job: JobId, profile: &str) -> Result<String, StoreError>;
 
-    /// Commits a tile's result and marks the tile as done. A late result for a tile that was set aside
-    /// replaces its stand-in. A different digest for a tile that is done is kept out and counted.
+    /// Commits a tile's result and marks the tile as done.
+    ///
+    /// A late result replaces the placeholder of a tile that was set aside. If the tile is already done with
+    /// another digest, the store rejects the result and counts a conflict.
     fn commit_tile(
         &self,
         job: JobId,
@@ -100,8 +109,10 @@ pub trait Store: Queries {
         result: TileResult,
     ) -> Result<CommitOutcome, StoreError>;
 
-    /// Records that a tile failed on a worker; returns the number of different workers on which it has failed
-    /// (counted up to a limit). Nothing changes if the tile is no longer open or the job has ended.
+    /// Records that a tile failed on a worker. Returns the number of workers on which it has failed.
+    ///
+    /// The number is at most [`MAX_FAILURES`](sightline_records::MAX_FAILURES). If the tile is not open or
+    /// the job has ended, the call has no effect.
     fn fail_tile(
         &self,
         job: JobId,
@@ -110,8 +121,10 @@ pub trait Store: Queries {
         reason: &str,
     ) -> Result<u32, StoreError>;
 
-    /// Records the death of a worker as [`Store::fail_tile`] records a failure. A recorded failure of the
-    /// worker stays, so that [`Store::forget_failure`] of this death does not remove it.
+    /// Records the death of a worker as [`Store::fail_tile`] records a failure.
+    ///
+    /// A recorded failure of the same worker stays, so that [`Store::forget_failure`] for this death does not
+    /// remove it.
     fn count_death(
         &self,
         job: JobId,
@@ -120,7 +133,7 @@ pub trait Store: Queries {
         reason: &str,
     ) -> Result<u32, StoreError>;
 
-    /// Forgets the failure of an open tile on a worker, if its last reason is this one.
+    /// Removes the failure of an open tile on a worker if the last recorded reason equals `reason`.
     fn forget_failure(
         &self,
         job: JobId,
@@ -129,8 +142,10 @@ pub trait Store: Queries {
         reason: &str,
     ) -> Result<(), StoreError>;
 
-    /// Sets an open tile aside: `digest` names the stand-in ("all visible") shipped for it.
-    /// The same call again is accepted; a tile that is done stays done ([`StoreError::TileNotOpen`]).
+    /// Sets an open tile aside. `digest` and `bytes` are the digest and the size in bytes of the blob of its
+    /// placeholder, whose cells show all triangles as undecided.
+    ///
+    /// The same call is accepted again. A done tile stays done ([`StoreError::TileNotOpen`]).
     fn set_aside_tile(
         &self,
         job: JobId,
@@ -140,9 +155,10 @@ pub trait Store: Queries {
         reasons: &[String],
     ) -> Result<(), StoreError>;
 
-    /// Moves a job to another state if it is in one of `from`; a job that is in `to` stays as it is.
-    /// `Done` is reached through [`Store::finish_job`] alone, and left through [`Store::reopen_tiles`] alone.
-    /// `at_ms` is kept as the time of the end if `to` ends the job.
+    /// Changes the state of a job if its current state is one of `from`. A job in state `to` stays unchanged.
+    ///
+    /// Only [`Store::finish_job`] sets the state `Done`, and only [`Store::reopen_tiles`] and
+    /// [`Store::invalidate_tiles`] leave it. If `to` ends the job, `at_ms` becomes the time of its end.
     fn set_job_state(
         &self,
         job: JobId,
@@ -151,8 +167,9 @@ pub trait Store: Queries {
         at_ms: u64,
     ) -> Result<JobRecord, StoreError>;
 
-    /// Ends a queued or running job with its result, all of whose tiles must be done or set aside.
-    /// The same result again is accepted; another one is refused.
+    /// Ends a queued or running job with its result. All tiles of the job must be done or set aside.
+    ///
+    /// The same result is accepted again. Another result is rejected.
     fn finish_job(
         &self,
         job: JobId,
@@ -161,13 +178,15 @@ pub trait Store: Queries {
         at_ms: u64,
     ) -> Result<JobRecord, StoreError>;
 
-    /// Retries failed tiles: tiles set aside are open again, failures of open tiles are forgotten, and a job
-    /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done. Returns
-    /// the number of reopened tiles.
+    /// Reopens failed tiles for another attempt, and returns the number of reopened tiles.
+    ///
+    /// Tiles that were set aside become open, and the failures of open tiles are removed. A job is queued
+    /// again if it failed, was cancelled, or is done with tiles that were set aside. Done tiles stay done.
     fn reopen_tiles(&self, job: JobId) -> Result<u32, StoreError>;
 
-    /// Records that another worker has computed a done tile again, with the digest that it has. Nothing
-    /// changes if the tile has another one by now.
+    /// Records that another worker computed a done tile again with the same `digest`.
+    ///
+    /// If the tile's output now has another digest, the call has no effect.
     fn confirm_tile(
         &self,
         job: JobId,
@@ -176,33 +195,37 @@ pub trait Store: Queries {
         check: TileCheck,
     ) -> Result<(), StoreError>;
 
-    /// Opens tiles again whose results or stand-ins are not believed any more; a done job is queued with all
-    /// its tiles open. Returns the number of opened tiles.
+    /// Reopens tiles whose results or placeholders are no longer trusted, and returns the number of reopened
+    /// tiles.
+    ///
+    /// A done job is queued again with all its tiles open.
     fn invalidate_tiles(&self, job: JobId, tiles: &[TileIndex]) -> Result<u32, StoreError>;
 
-    /// Records that a worker gets no tiles any more; for one that gets none the first reason stays.
+    /// Quarantines a worker, so that it gets no tiles. If the worker is already quarantined, the first reason
+    /// stays.
     fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError>;
 
-    /// Records that a worker gets tiles again; returns whether it had none.
+    /// Ends the quarantine of a worker. Returns true if the worker was quarantined.
     fn release(&self, worker: &str) -> Result<bool, StoreError>;
 
-    /// Records a stamp of the clocks of retention, which replaces the previous one.
+    /// Records the clocks of retention. The stamp replaces the previous one.
     fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError>;
 
-    /// Removes a scene that no job names; returns its record, so that the caller can remove the blob.
+    /// Removes a scene that no job references, and returns its record. The caller can then remove the blob.
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError>;
 
-    /// Takes over entries of another store, a few hundred at a time. The `first` ones need a store without
-    /// scenes and jobs.
+    /// Imports entries of another store, a few hundred per call. With `first`, the store must contain no
+    /// scenes and no jobs.
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError>;
 
-    /// From now on reports how long each durable write took. Only the first call counts.
+    /// Reports the duration of each later durable write to `to`. Only the first call has an effect.
     fn report_syncs(&self, to: Report);
 
-    /// Begins the next epoch (once at each start of a coordinator) and returns it.
+    /// Begins the next epoch and returns it. A coordinator calls this once at each start.
     fn begin_epoch(&self) -> Result<u64, StoreError>;
 
-    /// Removes an ended job, its tiles and its request ids; returns its record, so that the caller can remove
-    /// the blobs. Its id is never used again.
+    /// Removes an ended job, its tiles and its request ids, and returns its record.
+    ///
+    /// The caller can then remove the blobs. The id of the job is never reused.
     fn delete_job(&self, job: JobId) -> Result<JobRecord, StoreError>;
 }

@@ -1,13 +1,15 @@
-//! Commands in the queue of a store's writer thread, which carries out those in flight together: each decides
-//! on the state with all commands before it, and all are answered when what they changed is durable.
+//! Commands in the queue of a store's writer thread, which executes concurrent commands as one group.
+//!
+//! Each command decides on the state after all earlier commands. The writer thread answers all commands of a
+//! group once the changes of the group are durable.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use super::error::StoreError;
-use super::rules::{Decision, Event};
+use super::rules::{Decision, StateChange};
 use super::table::View;
 
-/// A command to be queued, and where its answer will arrive.
+/// Creates a queued command and the receiver of its answer.
 pub(super) fn pending<A: Send + 'static>(
     decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
 ) -> (Box<dyn Pending>, Receiver<Result<A, StoreError>>) {
@@ -24,11 +26,11 @@ pub(super) fn pending<A: Send + 'static>(
 
 /// A command in the queue of the writer thread.
 pub(super) trait Pending: Send {
-    /// Decides on the state including all commands before it; the answer is kept for later.
-    fn decide(&mut self, view: View<'_>) -> Option<Event>;
-    /// The event cannot be carried out.
+    /// Decides on the state after all earlier commands, and stores the answer for [`Pending::answer`].
+    fn decide(&mut self, view: View<'_>) -> Option<StateChange>;
+    /// Replaces the stored answer by an error, because the event cannot be executed.
     fn refuse(&mut self, error: StoreError);
-    /// Answers, once everything decided before is durable or has failed to be.
+    /// Sends the answer, once the changes of all earlier commands are durable or have failed.
     fn answer(self: Box<Self>, outcome: &Result<(), StoreError>);
 }
 
@@ -41,7 +43,7 @@ struct Command<F, A> {
 impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pending
     for Command<F, A>
 {
-    fn decide(&mut self, view: View<'_>) -> Option<Event> {
+    fn decide(&mut self, view: View<'_>) -> Option<StateChange> {
         let decision = self.decide.take()?(view);
         let (decided, event) = match decision {
             Ok(Decision { event, answer }) => (Ok(answer), event),
@@ -56,7 +58,7 @@ impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pen
     }
 
     fn answer(self: Box<Self>, outcome: &Result<(), StoreError>) {
-        // A caller whose thread panicked needs no answer.
+        // If the caller's thread panicked, the receiver is gone and needs no answer.
         let _ = self.reply.send(outcome.clone().and(self.decided));
     }
 }

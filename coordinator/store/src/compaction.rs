@@ -1,7 +1,7 @@
-//! Compaction of the journal: the entries that there are take the place of the events that led to them.
+//! Compaction of the journal: the current entries replace the events that led to them.
 //!
-//! The new journal is written beside the old one, synced, and moved into its place; a crash leaves one of the
-//! two. The view is made anew from it at the next start.
+//! The new journal is written next to the old one, synced, and moved into its place. A crash leaves one of
+//! the two journals. The next start rebuilds the view from the remaining journal.
 
 use std::path::Path;
 
@@ -9,16 +9,16 @@ use super::disk::Disk;
 use super::entries::Entry;
 use super::error::StoreError;
 use super::journal::{Journal, Numbers};
-use super::rules::Event;
+use super::rules::StateChange;
 
-/// A frame takes no more entries once their texts are this long.
+/// Maximum length of the texts in a frame before the next entry starts a new frame, in bytes.
 const FRAME_BYTES: usize = 1 << 20;
-/// Journals shorter than this are left as they are.
+/// Minimum length of a journal that is compacted, in bytes.
 const SHORT: u64 = 32 << 20;
-/// A journal this many times as long as its entries is compacted at the start.
+/// Minimum ratio of a journal's length to the length of its entries for a compaction at the start.
 const TIMES: u64 = 8;
 
-/// Whether a journal of this length is worth compacting.
+/// Returns true if a journal of this length is worth compacting.
 pub(super) fn is_worth(journal: u64, entries: &[Entry]) -> bool {
     let live: u64 = entries
         .iter()
@@ -27,7 +27,7 @@ pub(super) fn is_worth(journal: u64, entries: &[Entry]) -> bool {
     journal > SHORT && journal / TIMES > live
 }
 
-/// Writes a journal of these entries in the place of the one at `path`; returns its length in bytes.
+/// Writes a journal of these entries in place of the journal at `path`. Returns its length in bytes.
 pub(super) fn replace(
     disk: &dyn Disk,
     path: &Path,
@@ -42,7 +42,7 @@ pub(super) fn replace(
             bytes += key.len() + value.len();
             frame.push((key, value));
         }
-        let payload = serde_json::to_vec(&[Event::Imported { entries: frame }]);
+        let payload = serde_json::to_vec(&[StateChange::Imported { entries: frame }]);
         journal.append(
             &payload.map_err(|e| StoreError::View {
                 what: e.to_string(),
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_compacted_store_has_the_same_entries_and_goes_on() {
+    fn compacted_store_keeps_entries_and_accepts_commands() {
         let directory = tempfile::tempdir().unwrap();
         let entries = {
             let store = SledStore::open(directory.path()).unwrap();
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_store_takes_over_what_another_has_and_a_full_one_does_not() {
+    fn only_empty_store_imports_entries() {
         let directory = tempfile::tempdir().unwrap();
         let from = SledStore::open(&directory.path().join("from")).unwrap();
         (0..5).for_each(|n| from.record_scene(scene(n)).unwrap());
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_crash_left_of_a_compaction_is_overwritten() {
+    fn compaction_overwrites_file_of_crashed_compaction() {
         let directory = tempfile::tempdir().unwrap();
         let store = SledStore::open(directory.path()).unwrap();
         store.record_scene(scene(1)).unwrap();

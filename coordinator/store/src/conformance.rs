@@ -1,5 +1,5 @@
-//! One suite for every store: random commands against a model kept in plain maps, answer by answer and then
-//! all of the state; the store on disk is also closed and opened in between, and loses its sled files.
+//! The test suite of all stores. Random commands are compared with a model in plain maps, after each answer
+//! and at the end. The store on disk is also closed and reopened between commands, and loses its sled files.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -36,14 +36,14 @@ pub(super) enum Op {
     Delete(JobId),
 }
 
-/// An event between the sessions of a store on disk.
+/// An event between the sessions of a store on a disk.
 #[derive(Clone, Copy, Debug)]
 enum Mishap {
     Restart,
     SledGone,
-    /// One byte of each of sled's files, at this fraction of its length.
+    /// One changed byte in each of sled's files, at this fraction of the file's length.
     SledDamaged(f64),
-    /// sled as it was at the first restart.
+    /// The files of sled from the first restart.
     SledStale,
 }
 
@@ -76,7 +76,7 @@ const PHASES: [JobPhase; 6] = [
     JobPhase::Done,
 ];
 
-/// The phases of a bit set.
+/// Returns the phases of a bit set.
 fn phases(bits: u8) -> Vec<JobPhase> {
     (0..6)
         .filter(|i| bits >> i & 1 == 1)
@@ -193,7 +193,7 @@ pub(super) fn perform(store: &dyn Store, op: &Op) -> String {
     }
 }
 
-/// The answers to all queries of a store.
+/// Returns the answers to all queries of a store.
 pub(super) fn everything(store: &dyn Store) -> String {
     let jobs = store.jobs().unwrap();
     let tiles: Vec<_> = jobs
@@ -248,7 +248,7 @@ impl Model {
         self.jobs.values().rev().find(|job| job.key == *key)
     }
 
-    /// The answer as text, or the name of the error.
+    /// Returns the expected answer as text, or the name of the expected error.
     fn perform(&mut self, op: &Op) -> Result<String, &'static str> {
         fn say<T: Debug>(answer: T) -> Result<String, &'static str> {
             Ok(format!("{answer:?}"))
@@ -440,7 +440,7 @@ impl Model {
             Op::SetState(_, from, to) => {
                 let to = state(to);
                 if job.state != to {
-                    // Rows: from; columns: to; in the order of PHASES.
+                    // Rows are the old phases, columns the new phases, both in the order of PHASES.
                     let table = ["xxxxx ", "xxxxx ", "xxxxx ", "x     ", "      ", "      "];
                     let place = |phase| PHASES.iter().position(|&p| p == phase).unwrap();
                     let (a, b) = (place(job.state.phase()), place(to.phase()));
@@ -614,7 +614,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(256) })]
 
     #[test]
-    fn the_store_in_memory_is_the_model(ops in prop::collection::vec(op(), 1..120)) {
+    fn store_in_memory_matches_model(ops in prop::collection::vec(op(), 1..120)) {
         let (store, mut model) = (MemoryStore::new(), Model::default());
         for op in &ops {
             step(&store, &mut model, op);
@@ -631,7 +631,7 @@ proptest! {
     })]
 
     #[test]
-    fn the_store_on_disk_is_the_model_through_any_mishap_to_its_view(
+    fn store_on_disk_matches_model_after_any_mishap_to_its_view(
         rounds in prop::collection::vec((prop::collection::vec(op(), 1..25), mishap()), 1..6)
     ) {
         let directory = tempfile::tempdir().unwrap();
@@ -652,7 +652,7 @@ proptest! {
 }
 
 #[test]
-fn commands_of_many_threads_are_each_carried_out_once() {
+fn concurrent_commands_are_executed_once() {
     let directory = tempfile::tempdir().unwrap();
     let store = SledStore::open(directory.path()).unwrap();
     perform(&store, &Op::Scene(0, 10));
@@ -704,10 +704,10 @@ fn commands_of_many_threads_are_each_carried_out_once() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(16) })]
 
-    /// As after a full disk, which sled meets when it is changed or before that when it is read; at the next
-    /// start sled is brought up to date.
+    /// Simulates a full disk, which sled meets when it is changed, or earlier when it is read. The next start
+    /// brings sled up to date.
     #[test]
-    fn a_view_in_memory_is_the_model_and_nothing_of_it_is_lost(
+    fn view_in_memory_matches_model_and_loses_no_changes(
         before in prop::collection::vec(op(), 1..25),
         is_stuck: bool,
         after in prop::collection::vec(op(), 1..60),
@@ -730,7 +730,7 @@ proptest! {
 }
 
 #[test]
-fn a_directory_in_use_is_refused_with_its_owner() {
+fn open_rejects_directory_in_use() {
     let directory = tempfile::tempdir().unwrap();
     let store = SledStore::open(directory.path()).unwrap();
     match SledStore::open(directory.path()) {
@@ -742,7 +742,7 @@ fn a_directory_in_use_is_refused_with_its_owner() {
 }
 
 #[test]
-fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
+fn foreign_view_is_rebuilt_and_missing_journal_is_rejected() {
     let directory = tempfile::tempdir().unwrap();
     let journal = directory.path().join("journal");
     let store = SledStore::open(directory.path()).unwrap();
@@ -758,7 +758,7 @@ fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
         ),
         "{missing:?}"
     );
-    // Another journal that is longer, with its watermark: only its id shows that it is another one.
+    // A longer journal with its watermark: only its id shows that it is another journal.
     let other = tempfile::tempdir().unwrap();
     let store = SledStore::open(other.path()).unwrap();
     (0..5).for_each(|_| drop(perform(&store, &Op::Epoch)));
@@ -784,7 +784,7 @@ fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
 }
 
 #[test]
-fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
+fn view_with_lost_or_changed_entry_is_rebuilt() {
     for spoil in [None, Some(b"nonsense".as_slice())] {
         let directory = tempfile::tempdir().unwrap();
         let store = SledStore::open(directory.path()).unwrap();
@@ -809,7 +809,7 @@ fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
 }
 
 #[test]
-fn a_scene_belongs_to_all_who_have_sent_it() {
+fn scene_is_owned_by_every_uploader() {
     let directory = tempfile::tempdir().unwrap();
     let longest = |n: usize| format!("{n:0>32}");
     let scene_sent_by = |n: usize, triangles| SceneRecord {
@@ -844,7 +844,7 @@ fn a_scene_belongs_to_all_who_have_sent_it() {
 }
 
 #[test]
-fn the_longest_records_fit_and_longer_ones_are_refused() {
+fn longest_records_fit_and_longer_ones_are_rejected() {
     longest_fit("", MAX_NAME_BYTES);
     longest_fit(&"x".repeat(MAX_OWNER_BYTES), MAX_OWNER_BYTES);
 }

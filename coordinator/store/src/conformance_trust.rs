@@ -1,4 +1,4 @@
-//! The commands about results that are not believed, and those that move a store: the same on every store.
+//! Tests of the commands for untrusted results and for moving a store, on every store.
 
 use sightline_records::ids::{JobId, TileIndex};
 use sightline_records::*;
@@ -61,7 +61,7 @@ pub(super) fn trust(store: &dyn Store) {
     store.record_scene(scene(1)).unwrap();
     store.record_scene(scene(2)).unwrap();
     assert_eq!(store.submit_job(job(2)).unwrap().id, JOB);
-    // The longest record that there can be.
+    // The longest possible record.
     for n in 0..MAX_FAILURES {
         let worker = format!("{n:0>64}");
         store
@@ -81,7 +81,7 @@ pub(super) fn trust(store: &dyn Store) {
     assert!(
         matches!(&done.state, TileState::Done { stats, .. } if stats.helpers.len() == MAX_HELPERS)
     );
-    // Of a running job those that are named are opened.
+    // Only the named tiles of a running job are reopened.
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 0);
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(0)]).unwrap(), 1);
     assert_eq!(
@@ -93,7 +93,7 @@ pub(super) fn trust(store: &dyn Store) {
         matches!(far, Err(StoreError::UnknownTile { .. })),
         "{far:?}"
     );
-    // Of a done job all are.
+    // All tiles of a done job are reopened.
     for tile in 0..2 {
         store.commit_tile(JOB, TileIndex(tile), result(7)).unwrap();
     }
@@ -105,7 +105,7 @@ pub(super) fn trust(store: &dyn Store) {
         (again.state, again.finished_at_ms),
         (JobState::Queued, None)
     );
-    // The job remembers when, for leases from before.
+    // The job records the epoch, so that earlier leases can be recognised.
     assert_eq!(again.reopened_epoch, Some(store.epoch().unwrap()));
     // The first reason stays.
     for reason in ["first", "second"] {
@@ -126,7 +126,7 @@ pub(super) fn trust(store: &dyn Store) {
     );
     assert!(store.release("w").unwrap() && !store.release("w").unwrap());
     assert!(store.quarantined().unwrap().is_empty());
-    // A scene goes when nobody names it.
+    // A scene can be deleted once no job references it.
     assert!(matches!(
         store.delete_scene([1; 32]),
         Err(StoreError::SceneInUse { job: JOB, .. })
@@ -136,7 +136,7 @@ pub(super) fn trust(store: &dyn Store) {
         store.delete_scene([2; 32]),
         Err(StoreError::UnknownScene { .. })
     ));
-    // Everything moves.
+    // An export and an import copy all entries.
     let entries = store.entries().unwrap();
     assert!(matches!(
         store.import(entries.clone(), true),
@@ -159,7 +159,7 @@ pub(super) fn trust(store: &dyn Store) {
 }
 
 #[test]
-fn results_that_are_not_believed_in_memory_and_on_disk() {
+fn trust_commands_work_in_memory_and_on_disk() {
     trust(&MemoryStore::new());
     let directory = tempfile::tempdir().unwrap();
     let entries = {

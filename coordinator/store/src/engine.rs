@@ -1,7 +1,7 @@
-//! The trait [`Store`] for anything that can read a table and carry out a decision durably.
+//! The implementation of [`Store`] for every [`Engine`], which reads a table and makes decisions durable.
 //!
-//! The stores differ only in the place of their table and in how they make a change durable. The commands
-//! have one implementation here, and their rules are in `rules.rs`.
+//! The stores differ only in the location of their table and in the way they make a change durable. The
+//! commands have one implementation here; `rules.rs` contains their rules.
 
 use sightline_records::ids::{Digest, JobId, TileIndex};
 use sightline_records::{
@@ -17,7 +17,7 @@ use super::rules::{self, Decision};
 use super::table::View;
 use super::upkeep;
 
-/// A place that keeps a table.
+/// A storage back end: reads a table and executes decisions durably.
 pub(super) trait Engine: Send + Sync {
     /// Answers a query from the durable state.
     fn query<A>(
@@ -25,15 +25,16 @@ pub(super) trait Engine: Send + Sync {
         ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
     ) -> Result<A, StoreError>;
 
-    /// Why every write would fail, as far as is known without one.
+    /// Returns the error with which every write would fail, as far as it is known without a write.
     fn writable(&self) -> Result<(), StoreError> {
         Ok(())
     }
 
-    /// See [`Store::report_syncs`]. A table without a disk has none.
+    /// Reports the duration of durable writes, as [`Store::report_syncs`]. A table without a disk reports no
+    /// durations.
     fn report_syncs(&self, _to: Report) {}
 
-    /// Decides, makes the event durable and applies it, as one atomic step; then answers.
+    /// Decides, makes the event durable and applies it as one atomic step. Then returns the answer.
     fn command<A: Send + 'static>(
         &self,
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,

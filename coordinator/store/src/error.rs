@@ -8,63 +8,69 @@ use std::sync::Arc;
 use sightline_records::JobPhase;
 use sightline_records::ids::{Digest, JobId, TileIndex, hex};
 
-/// A command or query that could not be answered.
+/// An error of a command or a query.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
-    /// No such job.
-    #[error("job {job} is not known here; list the jobs to see which are")]
+    /// The requested job does not exist.
+    #[error("job {job} does not exist; list the jobs to see their numbers")]
     UnknownJob {
-        /// The id of the request.
+        /// The requested job.
         job: JobId,
     },
-    /// No such tile.
+    /// The requested tile does not exist.
     #[error(
-        "job {job} has tiles 0..{tiles}, not {tile}; the worker or client that asked follows another plan"
+        "job {job} has {tiles} tiles, numbered from 0, and no tile {tile}; the worker or client uses a \
+         different plan"
     )]
     UnknownTile {
         /// The job.
         job: JobId,
-        /// The tile of the request.
+        /// The requested tile.
         tile: TileIndex,
         /// The number of the job's tiles.
         tiles: u32,
     },
-    /// A job names a scene that was not recorded.
-    #[error("scene {} is not known here; upload it first", hex(.scene))]
+    /// The job's scene was not recorded.
+    #[error("scene {} is not stored; upload it first", hex(.scene))]
     UnknownScene {
-        /// Its digest.
+        /// The digest of the scene.
         scene: Digest,
     },
-    /// The scene was recorded with other counts.
-    #[error("scene {} was recorded before with other counts; one of the two loaders is wrong", hex(.scene))]
+    /// The scene was recorded with another size or other numbers of triangles or objects.
+    #[error(
+        "scene {} is already recorded with another size or number of triangles or objects; one of the \
+         two loaders is faulty",
+        hex(.scene)
+    )]
     SceneDiffers {
-        /// Its digest.
+        /// The digest of the scene.
         scene: Digest,
     },
-    /// A request id used for two different submissions.
+    /// The request id was used for a different submission.
     #[error(
         "request id {request_id:?} was used for job {job} with another scene or other \
          parameters; choose a fresh one"
     )]
     RequestIdReused {
-        /// The id.
+        /// The request id.
         request_id: String,
-        /// The job it belongs to.
+        /// The job that the request id belongs to.
         job: JobId,
     },
-    /// The state of a job does not allow the change.
+    /// The state of the job does not allow the change.
     #[error("job {job} is {is}, so it cannot be {wanted}; {}", remedy(.job, .is))]
     IllegalTransition {
         /// The job.
         job: JobId,
-        /// Its state.
+        /// The state of the job.
         is: JobPhase,
-        /// The requested change.
+        /// The requested change, as a participle for the message.
         wanted: &'static str,
     },
-    /// A tile that is no longer open cannot be set aside.
+    /// The tile is not open, so it cannot be set aside.
     #[error(
-        "tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays"
+        "tile {tile} of job {job} is no longer open, so it cannot be set aside; its output stays \
+         stored"
     )]
     TileNotOpen {
         /// The job.
@@ -72,17 +78,17 @@ pub enum StoreError {
         /// The tile.
         tile: TileIndex,
     },
-    /// A job with open tiles cannot be finished.
+    /// The job has open tiles, so it cannot be finished.
     #[error("job {job} has {open} open tiles (of {tiles}), so it cannot be finished")]
     TilesOpen {
         /// The job.
         job: JobId,
-        /// Tiles neither done nor set aside.
+        /// The number of tiles that are neither done nor set aside.
         open: u32,
-        /// Tiles it has.
+        /// The number of tiles of the job.
         tiles: u32,
     },
-    /// A finished job has another result.
+    /// The finished job has another result.
     #[error(
         "job {job} is done with result {}, not {}; its inputs or the machine are at fault",
         hex(.kept), hex(.offered)
@@ -90,90 +96,96 @@ pub enum StoreError {
     ResultDiffers {
         /// The job.
         job: JobId,
-        /// The result that stays.
+        /// The digest of the stored result.
         kept: Digest,
-        /// The one refused.
+        /// The digest of the rejected result.
         offered: Digest,
     },
-    /// A plan with another number of tiles.
+    /// The job's plan has another number of tiles.
     #[error("job {job} was planned with {kept} tiles, not {offered}; a plan must not change")]
     PlanDiffers {
         /// The job.
         job: JobId,
-        /// The number that stays.
+        /// The recorded number of tiles.
         kept: u32,
-        /// The one refused.
+        /// The rejected number of tiles.
         offered: u32,
     },
-    /// A text or list is longer than the store accepts.
-    #[error("{what} is {length} long, more than the {limit} allowed; shorten it")]
+    /// A text or a list exceeds the maximum length.
+    #[error("{what} is {length} {unit} long; shorten it to at most {limit} {unit}")]
     TooLong {
-        /// The name of the text.
+        /// The name of the text or list.
         what: &'static str,
-        /// Its length.
+        /// The length of the text or list.
         length: usize,
-        /// The bound.
+        /// The unit of the length in the plural, such as `bytes`.
+        unit: &'static str,
+        /// The maximum length.
         limit: usize,
     },
-    /// A text holds a character it may not.
-    #[error("{what} holds the character {found:?}, which is not allowed there; leave it out")]
+    /// A text contains a forbidden character.
+    #[error("{what} contains the character {found:?}, which is not allowed; remove the character")]
     BadCharacter {
         /// The name of the text.
         what: &'static str,
-        /// The character.
+        /// The forbidden character.
         found: char,
     },
-    /// Another process has the directory open.
+    /// Another process uses the directory.
     #[error(
-        "{} is in use by another coordinator (process {pid}); stop that one, or choose another data \
-            directory",
+        "{} is in use by another coordinator (process {pid}); stop that coordinator, or choose another \
+         data directory",
         .path.display()
     )]
     InUse {
-        /// The lock file.
+        /// The path of the lock file.
         path: PathBuf,
-        /// Who holds it, as written in the lock file.
+        /// The id of the process that holds the lock, as written in the lock file.
         pid: String,
     },
-    /// The journal refused the command. After [`JournalError::Unusable`] the command may or may not take
-    /// effect at the next start; after any other error it does not.
+    /// The journal rejected the command.
+    ///
+    /// After [`JournalError::Unusable`], the command may or may not take effect at the next start. After any
+    /// other error, the command has no effect.
     #[error(transparent)]
     Journal(#[from] JournalError),
-    /// An entry of another store is not what its key says.
+    /// The value of an imported entry does not fit its key.
     #[error(
-        "the entry under {key} is no record of a store ({what}); take an export that nobody has changed"
+        "the entry with the key {key} is not a record of a store ({what}); use an unchanged export"
     )]
     Foreign {
-        /// Its key.
+        /// The key of the entry.
         key: String,
-        /// What is wrong.
+        /// The description of the fault.
         what: String,
     },
-    /// The view (not the journal) cannot be read.
+    /// The view cannot be read. The journal is not affected.
     #[error(
-        "the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal"
+        "the store's view is damaged ({what}); restart the coordinator, which rebuilds the \
+         view from the journal"
     )]
     View {
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
-    /// The writer thread cannot be started.
+    /// The system cannot start the writer thread.
     #[error(
-        "the system cannot start another thread ({what}); raise its limit of threads, or free memory"
+        "the system cannot start another thread ({what}); raise its limit of threads, or free \
+         memory"
     )]
     Thread {
         /// The system's error.
         what: String,
     },
-    /// The journal holds events this version does not know.
+    /// The journal contains events that this version cannot decode.
     #[error(
-        "the journal's frame before byte {before} cannot be understood ({what}); use the version that wrote \
-         it"
+        "the journal's frame before byte {before} cannot be decoded ({what}); use the program \
+         version that wrote the frame"
     )]
     Unreadable {
-        /// Where the frame ends.
+        /// The offset of the end of the frame, in bytes.
         before: u64,
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
     /// A file operation on the store's directory failed.
@@ -181,191 +193,194 @@ pub enum StoreError {
     Io {
         /// The operation.
         doing: &'static str,
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The system's error.
         source: Arc<std::io::Error>,
     },
-    /// A scene that a job names cannot be removed.
-    #[error("scene {} is that of job {job}; delete its jobs first", hex(.scene))]
+    /// The scene cannot be removed because a job references it.
+    #[error("scene {} belongs to job {job}; delete its jobs first", hex(.scene))]
     SceneInUse {
-        /// Its digest.
+        /// The digest of the scene.
         scene: Digest,
-        /// A job that names it.
+        /// A job that references the scene.
         job: JobId,
     },
-    /// A blob that a change needs cannot be read for now.
-    #[error("a blob that is needed cannot be read for now ({what}); it is tried again")]
+    /// A blob that a change needs is temporarily unreadable.
+    #[error("a required blob is temporarily unreadable ({what}); the coordinator tries again")]
     BlobWaits {
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
-    /// Only an empty store takes over the entries of another one.
+    /// The store contains scenes or jobs, so it cannot import the entries of another store.
     #[error(
-        "the store has scenes or jobs, and takes over those of another one only while it is empty; \
-         give a new one"
+        "the store contains scenes or jobs, so it cannot import another store; give an empty store"
     )]
     NotEmpty,
-    /// The system gives no random numbers.
-    #[error("the system gives no random numbers ({what}), by which tiles are drawn for checks")]
+    /// The system returns no random numbers.
+    #[error("the system returns no random numbers ({what}), which spot checks need")]
     Random {
         /// The system's error.
         what: String,
     },
-    /// The address of a database cannot be used.
+    /// The address of the database is invalid.
     #[error(
         "{what}; give --store as postgres://USER@HOST/DATABASE, with the password in PGPASSWORD"
     )]
     Address {
-        /// The fault, without the address, which may hold a password.
+        /// The description of the fault, without the address, because that may contain a password.
         what: String,
     },
-    /// The database does not answer. Nothing was changed.
+    /// The database does not answer. The command had no effect.
     #[error("{server} does not answer ({what}); check that it runs and can be reached from here")]
     Unreachable {
-        /// The database, without its password.
+        /// The address of the database, without the password.
         server: String,
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
-    /// The database does not let this user in.
+    /// The database rejects the login.
     #[error(
-        "{server} does not let us in ({what}); check the user, the database's name and the password in \
-             PGPASSWORD"
+        "{server} rejects the login ({what}); check the user, the name of the database and the \
+         password in PGPASSWORD"
     )]
     NotLetIn {
-        /// The database, without its password.
+        /// The address of the database, without the password.
         server: String,
-        /// Its answer.
+        /// The answer of the database.
         what: String,
     },
-    /// The tables were made by a newer program.
+    /// A newer program created the tables.
     #[error(
-        "{server} holds tables of version {found}, and this program knows those up to version {known}; run \
-             the newer program that made them"
+        "{server} contains tables of version {found}, but this program supports versions up to \
+         {known}; run the newer program that created the tables"
     )]
     NewerTables {
-        /// The database, without its password.
+        /// The address of the database, without the password.
         server: String,
-        /// The version of its tables.
+        /// The version of the tables.
         found: i32,
-        /// The last version that this program knows.
+        /// The highest version that this program supports.
         known: i32,
     },
-    /// The database refuses a statement. Nothing was changed.
-    #[error("{server} refuses a statement ({what}); its log says more")]
+    /// The database rejects a statement. The command had no effect.
+    #[error("{server} rejects a statement ({what}); see the log of the database")]
     Database {
-        /// The database, without its password.
+        /// The address of the database, without the password.
         server: String,
-        /// Its answer.
+        /// The answer of the database.
         what: String,
     },
-    /// Entries of the database cannot be read.
-    #[error("{server} holds what cannot be read ({what}); restore it from a backup")]
+    /// Entries of the database cannot be decoded.
+    #[error("{server} contains an unreadable entry ({what}); restore the database from a backup")]
     Damaged {
-        /// The database, without its password.
+        /// The address of the database, without the password.
         server: String,
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
-    /// The coordinator led and could not tell the database so in time.
+    /// The coordinator led, but could not renew its leadership in time.
     #[error(
-        "this coordinator could not renew its leadership in time (its epoch was {epoch}: {what}), so that \
-         another one may lead; it ends here, and stands by when it is started again"
+        "this coordinator could not renew its leadership in time (its epoch was {epoch}: {what}), \
+         so another one may lead; this process ends, and becomes a standby after a restart"
     )]
     NotRenewed {
-        /// The epoch of its leadership.
+        /// The epoch of the leadership.
         epoch: i64,
-        /// What the last attempt met.
+        /// The error of the last attempt.
         what: String,
     },
-    /// Another coordinator leads. Nothing was changed.
+    /// Another coordinator leads. The command had no effect.
     #[error(
-        "this coordinator does not lead any more (its epoch was {epoch}), so it changes nothing; ask again, \
-             the one that leads now will answer"
+        "this coordinator no longer leads (its epoch was {epoch}), so it rejects the change; send \
+         the request again, and the new leader answers"
     )]
     Fenced {
         /// The epoch of this coordinator's leadership.
         epoch: i64,
     },
-    /// The writer thread is gone.
+    /// The writer thread has ended.
     #[error("the store has shut down; restart the coordinator")]
     Closed,
 }
 
-/// The journal could not be read or written.
+/// An error that occurred while the journal was read or written.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JournalError {
-    /// A journal of another version.
+    /// Another version wrote the journal.
     #[error(
         "{} is a journal that this version cannot read ({what}); use the version that wrote it, or move the \
          data directory away to begin with an empty store",
         .path.display()
     )]
     BadHeader {
-        /// The file.
+        /// The path of the journal.
         path: PathBuf,
-        /// The fault.
+        /// The description of the fault.
         what: String,
     },
-    /// Acknowledged frames are damaged or missing. The journal stays as it is.
+    /// Acknowledged frames are damaged or missing. The journal stays unchanged.
     #[error(
-        "{} is damaged at byte {offset}: {what}{}; restore {} from a backup, or run `{}` to repair it",
+        "{} is damaged at byte {offset}: {what}{}; restore {} from a backup, or run `{}` to repair \
+         it",
         .path.display(), after_semicolon(.lost), folder_of(.path).display(), repair_command(.path)
     )]
     Damaged {
-        /// The file.
+        /// The path of the journal.
         path: PathBuf,
-        /// The offset of the first bad frame.
+        /// The offset of the first bad frame, in bytes.
         offset: u64,
-        /// The fault.
+        /// The description of the fault.
         what: String,
-        /// A sentence about acknowledged changes that a repair would lose; may be empty.
+        /// A sentence about the acknowledged changes that a repair would lose; may be empty.
         lost: String,
     },
-    /// A part of the journal cannot be read. The journal stays as it is.
+    /// A part of the journal cannot be read. The journal stays unchanged.
     #[error(
-        "{} cannot be read: {source}; if that stays so, copy {} to another disk or restore it from a backup, \
-         or run `{}` to keep the readable part",
+        "{} cannot be read: {source}; if the error persists, copy {} to another disk or restore it from a \
+         backup, or run `{}` to keep the readable part",
         .path.display(), folder_of(.path).display(), repair_command(.path)
     )]
     Unreadable {
-        /// The file.
+        /// The path of the journal.
         path: PathBuf,
         /// The system's error.
         source: Arc<std::io::Error>,
     },
     /// The journal is missing, but its watermark or its view exists.
     #[error(
-        "{} is missing, and files that were made with it exist; restore {} from a backup, or run `{}` to \
-         continue with the records that these files hold",
+        "{} is missing, but files that were created with it exist; restore {} from a backup, or \
+         run `{}` to continue with the records in these files",
         .path.display(), folder_of(.path).display(), repair_command(.path)
     )]
     Missing {
         /// The expected path of the journal.
         path: PathBuf,
     },
-    /// The disk is full. Nothing changed.
-    #[error("no space left for {}; free some, the store goes on by itself", .path.display())]
+    /// The disk is full. The command had no effect.
+    #[error(
+        "no space left for {}; free some space, and the store continues automatically",
+        .path.display()
+    )]
     NoSpace {
-        /// The journal.
+        /// The path of the journal.
         path: PathBuf,
     },
-    /// A write failed and was undone. Nothing changed.
+    /// A write failed and was undone. The command had no effect.
     #[error("cannot write {}: {source}; check the disk", .path.display())]
     Write {
-        /// The journal.
+        /// The path of the journal.
         path: PathBuf,
         /// The system's error.
         source: Arc<std::io::Error>,
     },
-    /// A sync, or the undoing of a write, failed: the content of the disk is unknown.
+    /// A sync, or the undoing of a write, failed, so the content on the disk is unknown.
     #[error(
-        "{} cannot be trusted any more ({source}); check the disk and restart the coordinator",
+        "{} is no longer reliable ({source}); check the disk and restart the coordinator",
         .path.display()
     )]
     Unusable {
-        /// The journal.
+        /// The path of the journal.
         path: PathBuf,
         /// The system's error.
         source: Arc<std::io::Error>,
@@ -375,7 +390,7 @@ pub enum JournalError {
     Io {
         /// The operation.
         doing: &'static str,
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The system's error.
         source: Arc<std::io::Error>,
@@ -426,12 +441,14 @@ fn after_semicolon(sentence: &str) -> String {
     }
 }
 
-/// What a user can do with a job in a state.
+/// Returns an instruction for a user, for a job in this state.
 fn remedy(job: &JobId, is: &JobPhase) -> String {
     match is {
-        JobPhase::Cancelled | JobPhase::Failed => format!("`sightline retry {job}` continues it"),
-        JobPhase::Paused => format!("`sightline resume {job}` continues it"),
-        JobPhase::Done => format!("`sightline fetch {job} -o FILE.pvs` downloads its result"),
-        _ => format!("`sightline show {job}` says more"),
+        JobPhase::Cancelled | JobPhase::Failed => {
+            format!("`sightline retry {job}` continues the job")
+        }
+        JobPhase::Paused => format!("`sightline resume {job}` continues the job"),
+        JobPhase::Done => format!("`sightline fetch {job} -o FILE.pvs` downloads the result"),
+        _ => format!("`sightline show {job}` prints the details"),
     }
 }

@@ -16,12 +16,13 @@ use super::sled_store::SledStore;
 const STATE: &str = "/data/state";
 const BLOBS: &str = "/data/blobs";
 
-/// The disk with the store and the blobs, which are open between two starts.
+/// A simulated disk with a store and blobs, which are open between [`FailingDisk::open`] and
+/// [`FailingDisk::close`].
 pub struct FailingDisk {
     random: SplitMix64,
     disk: SimulatedDisk,
     misdirects: bool,
-    /// True after the one changed bit of a schedule.
+    /// True after the disk has changed a bit. A schedule changes at most one bit.
     is_flipped: bool,
     open: Option<(SledStore, FileBlobs)>,
 }
@@ -33,19 +34,19 @@ pub struct Loss {
     pub is_unmeasured: bool,
     /// True if acknowledged changes are lost.
     pub is_loss: bool,
-    /// The lost jobs.
+    /// The numbers of the lost jobs.
     pub jobs: Option<RangeInclusive<u64>>,
 }
 
 impl Loss {
-    /// Returns true if the repair has named the loss of a job.
+    /// Returns true if the repair reported that this job may be lost.
     pub fn names(&self, job: u64) -> bool {
         self.is_unmeasured || self.jobs.as_ref().is_some_and(|jobs| jobs.contains(&job))
     }
 }
 
 impl FailingDisk {
-    /// Creates an empty disk; one disk in three misplaces a write.
+    /// Creates an empty disk. One disk in three misplaces a write.
     pub fn new(seed: u64) -> Self {
         let mut random = SplitMix64::named(&[seed, 7]);
         let misdirects = random.bits().is_multiple_of(3);
@@ -67,21 +68,20 @@ impl FailingDisk {
         self.misdirects
     }
 
-    /// Returns the faults that happened.
+    /// Returns the numbers of faults that happened.
     pub fn counts(&self) -> Counts {
         self.disk.counts()
     }
 
-    /// Returns the store and the blobs, while they are open.
+    /// Returns the store and the blobs while they are open.
     pub fn get(&self) -> Option<&(SledStore, FileBlobs)> {
         self.open.as_ref()
     }
 
-    /// Opens the store and the blobs, without faults. A damaged journal is repaired; then the loss is
-    /// returned.
+    /// Opens the store and the blobs, without faults. Repairs a damaged journal and then returns the loss.
     ///
     /// # Errors
-    /// The reason for which they cannot be opened.
+    /// The reason why the store or the blobs cannot be opened.
     pub fn open(&mut self) -> Result<Option<Loss>, String> {
         self.heal();
         let blobs = FileBlobs::open_on(Arc::new(self.disk.clone()), Path::new(BLOBS), "tmp");
@@ -111,7 +111,7 @@ impl FailingDisk {
         Ok(loss)
     }
 
-    /// Lets the disk fail from now on, by the dice: reads, writes, syncs, and a lack of space.
+    /// Enables random faults: of reads, writes and syncs, and a lack of space.
     pub fn fail(&mut self) {
         let faults = Faults {
             read: if self.below(4) == 0 { 60 } else { 0 },
@@ -130,22 +130,22 @@ impl FailingDisk {
         }
     }
 
-    /// Bounds the bytes that still fit.
+    /// Sets the number of bytes that still fit on the disk, or removes the bound.
     pub fn fill(&self, room: Option<u64>) {
         self.disk.set_room(room);
     }
 
-    /// Ends all faults.
+    /// Disables all faults.
     pub fn heal(&self) {
         self.disk.set_faults(Faults::default());
         self.disk.set_room(None);
     }
 
-    /// Closes the store and the blobs: the process is killed, or the power fails. In some schedules the disk
-    /// changes one bit, unless it has misplaced a write.
+    /// Closes the store and the blobs: the process is killed, or the power fails.
     ///
-    /// After a power failure the watermark lacks the last moments, so that a damaged last frame looks like an
-    /// unfinished one. The store cannot distinguish them, so a faulty disk lets it become idle first.
+    /// In some schedules the disk changes one bit, unless it has misplaced a write. After a power failure the
+    /// watermark lacks the most recent commits, so a damaged last frame looks like an unfinished frame. The
+    /// store cannot distinguish the two cases, so a faulty disk lets the store become idle first.
     pub fn close(&mut self) {
         let misplaced = self.disk.counts().misdirected;
         let is_sound = self.misdirects && !self.is_flipped && misplaced == 0;

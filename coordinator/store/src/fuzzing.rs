@@ -1,24 +1,25 @@
-//! The body of the fuzz target `journal`: any bytes as the files of a journal. The tests run it too.
+//! The body of the fuzz target `journal`: any bytes as the files of a journal. The tests also run it.
 
 use std::path::{Path, PathBuf};
 
 use super::disk::SystemDisk;
 use super::error::JournalError;
-use super::journal::{HEADER_BYTES, Journal, Numbers, Place, replay};
+use super::journal::{HEADER_BYTES, Journal, JournalPosition, Numbers, replay};
 use super::watermark;
 
-/// Numbers for the watermark.
+/// The numbers that the test records in the watermark.
 const NUMBERS: Numbers = Numbers {
     next_job: 7,
     epoch: 2,
 };
 
-/// Opens bytes as a journal in a folder, replays it, appends a frame and opens it again. The first two bytes
-/// are the length of the watermark's file, which follows; the journal's file is the rest. Returns true if the
-/// files are a journal.
+/// Opens bytes as a journal in a folder, replays it, appends a frame and opens it again.
+///
+/// The first two bytes are the length of the watermark's file, which follows. The remaining bytes are the
+/// journal's file. Returns true if the files are a journal.
 ///
 /// # Panics
-/// Panics if an opened journal cannot be replayed, or if frames change. No bytes may cause that.
+/// Panics if an opened journal cannot be replayed, or if frames change. No input may cause that.
 pub fn journal(folder: &Path, bytes: &[u8]) -> bool {
     let Some((length, rest)) = bytes.split_first_chunk::<2>() else {
         return false;
@@ -54,11 +55,11 @@ fn paths(folder: &Path) -> [PathBuf; 2] {
 /// Returns the payloads of all frames.
 fn payloads(path: &Path, journal: &Journal) -> Vec<Vec<u8>> {
     let mut payloads = Vec::new();
-    let start = Place {
+    let start = JournalPosition {
         offset: HEADER_BYTES,
         chain: journal.id(),
     };
-    let visit = |payload: &[u8], _: Place| {
+    let visit = |payload: &[u8], _: JournalPosition| {
         payloads.push(payload.to_vec());
         Ok::<(), JournalError>(())
     };
@@ -73,7 +74,7 @@ mod tests {
 
     use super::*;
 
-    /// Mutations of a valid journal. `SIGHTLINE_FUZZ_SEED` selects others.
+    /// Checks mutations of a valid journal. `SIGHTLINE_FUZZ_SEED` selects other mutations.
     #[test]
     fn fuzzed_journals_do_not_crash() {
         let folder = tempfile::tempdir().unwrap();
@@ -100,7 +101,7 @@ mod tests {
                     0 if !bytes.is_empty() => bytes[at] ^= 1 << below(8),
                     1 => bytes.truncate(at),
                     2 => bytes[at..].iter_mut().take(8).for_each(|b| *b = 0),
-                    // A length that is far beyond the file's.
+                    // A length far beyond the end of the file.
                     3 => bytes[at..].iter_mut().take(4).for_each(|b| *b = 0xff),
                     4 => drop(bytes.drain(at..(at + below(20)).min(bytes.len()))),
                     _ => bytes.extend(vec![below(3) as u8; below(60)]),

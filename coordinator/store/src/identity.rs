@@ -1,7 +1,7 @@
-//! The identity of a store: the name under which blobs belong to it, and a secret key for leases.
+//! The identity of a store: its name, by which blobs belong to it, and a secret key for leases.
 //!
-//! The identity is a record of the store, so it moves along with an export or a migration. Its name is also
-//! written into the blob store: a coordinator that starts on another store's blobs must not remove them.
+//! The identity is a record of the store, so an export or a migration moves it, too. Its name is also written
+//! into the blob store, because a coordinator must not remove blobs that belong to another store.
 
 use std::fmt;
 use std::str::FromStr;
@@ -36,7 +36,7 @@ impl FromStr for StoreId {
     }
 }
 
-/// The name and the secret key of a store.
+/// The name of a store of records, and the secret from which [`Self::key`] derives keys.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StoreIdentity {
     #[serde(with = "hex_id")]
@@ -46,10 +46,10 @@ pub struct StoreIdentity {
 }
 
 impl StoreIdentity {
-    /// Draws an identity from the system's random numbers.
+    /// Generates an identity from the system's random numbers.
     ///
     /// # Errors
-    /// [`StoreError::Random`] when the system has none.
+    /// [`StoreError::Random`] if the system returns no random numbers.
     pub fn random() -> Result<Self, StoreError> {
         let (mut id, mut secret) = ([0; 16], [0; 32]);
         getrandom::fill(&mut id)
@@ -63,7 +63,7 @@ impl StoreIdentity {
         })
     }
 
-    /// Returns the name, which may be shown.
+    /// Returns the name of the store, which is not secret.
     pub fn id(&self) -> StoreId {
         self.id
     }
@@ -85,7 +85,7 @@ impl fmt::Debug for StoreIdentity {
     }
 }
 
-/// Names as 32 hexadecimal digits.
+/// Serialization of store names as 32 hexadecimal digits.
 mod hex_id {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 

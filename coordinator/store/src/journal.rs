@@ -4,18 +4,20 @@
 //! header  "SLJOURNL"  version u32  id u64  crc32c u32 of the 20 bytes before      (little-endian throughout)
 //! frame   length u32  previous u64  check u64  payload
 //! ```
-//! One frame is one group commit, written and synced as a whole. Its check is the first eight bytes of the
-//! BLAKE3 digest of (offset of the frame u64, length, previous, payload), and `previous` is the check of the
-//! frame before, or the journal's id. So each frame continues one chain, and old bytes of the file never pass
-//! for a frame of another place or another history.
+//! One frame is one group commit, which is written and synced as a whole. A frame is *good* if its check
+//! matches, and *bad* otherwise. The check of a frame is the first eight bytes of the BLAKE3 digest of
+//! (offset of the frame u64, length, previous, payload). `previous` is the check of the preceding frame, or
+//! the journal's id for the first frame. So all frames form one chain, and old bytes of the file are never
+//! accepted as a frame of another position or another history.
 //!
-//! The watermark (`watermark.rs`) records the acknowledged length and the chain there. A bad frame behind it
-//! that no good frame follows is an unfinished write, which was never acknowledged: it is cut off, with a
-//! warning. Any other bad frame, and a file that is shorter than the watermark, is damage: opening the
-//! journal fails and leaves the file unchanged (`salvage.rs` repairs it on demand).
+//! The watermark (`watermark.rs`) records the acknowledged length and the check of the last frame before this
+//! length. A bad frame behind the watermark that no good frame follows is an unfinished write, which was
+//! never acknowledged. The journal removes it and logs a warning. Any other bad frame, and a file shorter
+//! than the watermark, is damage: opening the journal fails and leaves the file unchanged (`salvage.rs`
+//! repairs it on demand).
 //!
 //! The journal does not interpret payloads. The file grows by a few hundred bytes per tile, and opening it
-//! reads all of it; `compaction.rs` replaces one that has grown long.
+//! reads all of it. `compaction.rs` replaces a long journal.
 
 use std::io::{self, BufReader, ErrorKind, Read, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -23,7 +25,7 @@ use std::sync::Arc;
 
 use super::disk::{self, Access, Disk, DiskFile};
 use super::error::JournalError;
-pub(super) use super::place::{Numbers, Place};
+pub(super) use super::place::{JournalPosition, Numbers};
 use super::watermark::{self, Watermark, WatermarkFile};
 
 const MAGIC: &[u8; 8] = b"SLJOURNL";
@@ -31,7 +33,8 @@ const VERSION: u32 = 3;
 /// The offset of the first frame.
 pub(super) const HEADER_BYTES: u64 = 24;
 const FRAME_HEADER: u64 = 20;
-/// Maximum length of a payload. Also the most that a crash can leave behind, so a longer bad end is damage.
+/// Maximum length of a payload, in bytes. A crash leaves at most one unfinished frame, so a longer unreadable
+/// end of the file is damage.
 pub(super) const MAX_FRAME_BYTES: usize = 16 << 20;
 
 /// An open journal.
@@ -40,22 +43,22 @@ pub(super) struct Journal {
     file: Box<dyn DiskFile>,
     /// A random number that distinguishes this journal from others.
     id: u64,
-    /// The place of the next frame.
-    end: Place,
-    /// `None` for a journal that is not in its place yet.
+    /// The position of the next frame.
+    end: JournalPosition,
+    /// The watermark file, or `None` for a journal that is not in its place yet.
     marks: Option<WatermarkFile>,
-    /// Set when the content of the file is no longer known.
+    /// The error after which the content of the file is no longer known.
     unusable: Option<Arc<io::Error>>,
 }
 
 impl Journal {
     /// Opens or creates the journal, checks every frame, and removes an unfinished frame at the end.
     ///
-    /// `view` is the acknowledged part as the view knows it; the longer one of it and the watermark counts.
+    /// `view` is the acknowledged part that the view records. The longer of `view` and the watermark counts.
     ///
     /// # Errors
-    /// [`JournalError::Damaged`] when acknowledged frames are damaged or missing; the file then stays as it
-    /// is.
+    /// [`JournalError::Damaged`] if acknowledged frames are damaged or missing. The file then stays
+    /// unchanged.
     pub(super) fn open(
         disk: &dyn Disk,
         path: &Path,
@@ -100,8 +103,8 @@ impl Journal {
         if end.offset > HEADER_BYTES && !marks.iter().any(|mark| mark.journal == id) {
             tracing::warn!(
                 path = %mark_path.display(),
-                "no watermark of the journal can be read, so that a lost end of the journal would not be \
-                 noticed; compare the list of jobs with a backup. The watermark is written anew"
+                "the watermark of the journal cannot be read, so a lost end of the journal cannot \
+                 be detected; compare the list of jobs with a backup. A new watermark is written"
             );
         }
         let mut file = disk
@@ -110,7 +113,8 @@ impl Journal {
         if end.offset < length {
             tracing::warn!(
                 path = %path.display(), bytes = length - end.offset, offset = end.offset,
-                "the journal ends in an unfinished write, which was never acknowledged; cutting it off"
+                "the journal ends in an unfinished write, which was never acknowledged; cutting it \
+                 off"
             );
             file.set_length(end.offset)
                 .map_err(fault("truncate", path))?;
@@ -132,7 +136,7 @@ impl Journal {
         Ok(this)
     }
 
-    /// Begins a new journal at `path`, without a watermark: it is not in its place yet.
+    /// Begins a new journal at `path`, without a watermark, because the journal is not in its place yet.
     pub(super) fn begin(disk: &dyn Disk, path: &Path) -> Result<Self, JournalError> {
         disk::remove_if_present(disk, path).map_err(fault("remove", path))?;
         let id = random_id(path)?;
@@ -140,7 +144,7 @@ impl Journal {
             .open(path, Access::Create)
             .map_err(fault("create", path))?;
         file.write_all(&header(id)).map_err(fault("write", path))?;
-        let end = Place {
+        let end = JournalPosition {
             offset: HEADER_BYTES,
             chain: id,
         };
@@ -158,17 +162,19 @@ impl Journal {
         self.id
     }
 
-    pub(super) fn end(&self) -> Place {
+    pub(super) fn end(&self) -> JournalPosition {
         self.end
     }
 
-    /// Appends a frame and returns its end. The frame is on the disk then, and the watermark records it.
-    /// After an error the journal is as before, or it is unusable and returns that error from then on.
+    /// Appends a frame and returns its end. On success, the frame is durable and the watermark records it.
+    ///
+    /// After an error, the journal is unchanged, or it is unusable and returns that error for all later
+    /// calls.
     pub(super) fn append(
         &mut self,
         payload: &[u8],
         numbers: Numbers,
-    ) -> Result<Place, JournalError> {
+    ) -> Result<JournalPosition, JournalError> {
         if let Some(source) = &self.unusable {
             return Err(JournalError::Unusable {
                 path: self.path.clone(),
@@ -201,13 +207,14 @@ impl Journal {
         if let Err(source) = self.file.sync() {
             return Err(self.give_up(source));
         }
-        let end = Place {
+        let end = JournalPosition {
             offset: self.end.offset + frame.len() as u64,
             chain,
         };
         if let Err(JournalError::Io { source, .. }) = self.record(end, numbers) {
-            // The slot may count although its write failed. The frame can go only if the slot durably records
-            // the end before it again: the disk may have any of the slot's contents since the last sync.
+            // The slot may count although its write failed. So the frame may be removed only after the slot
+            // durably records the previous end again: the disk may have any of the slot's contents since the
+            // last sync.
             let recorded = self.record(self.end, numbers);
             return Err(match recorded.and_then(|()| self.sync_watermark()) {
                 Ok(()) => self.undo(io::Error::new(source.kind(), source)),
@@ -218,26 +225,26 @@ impl Journal {
         Ok(end)
     }
 
-    fn record(&mut self, end: Place, numbers: Numbers) -> Result<(), JournalError> {
+    fn record(&mut self, end: JournalPosition, numbers: Numbers) -> Result<(), JournalError> {
         let mark = Watermark::new(self.id, end, numbers);
         self.marks
             .as_mut()
             .map_or(Ok(()), |marks| marks.record(&mark))
     }
 
-    /// Records the whole journal as acknowledged. To be called after the start, with the numbers of the
-    /// state.
+    /// Records the whole journal as acknowledged. The store calls this after its start, with the numbers of
+    /// its state.
     pub(super) fn acknowledge(&mut self, numbers: Numbers) -> Result<(), JournalError> {
         self.record(self.end, numbers)?;
         self.sync_watermark()
     }
 
-    /// Makes the watermark durable. To be called when no caller waits.
+    /// Makes the watermark durable. The writer thread calls this while no caller waits.
     pub(super) fn sync_watermark(&mut self) -> Result<(), JournalError> {
         self.marks.as_mut().map_or(Ok(()), WatermarkFile::sync)
     }
 
-    /// Removes a frame that could not be written whole.
+    /// Removes a frame that was not written completely, and returns the error of the append.
     fn undo(&mut self, source: io::Error) -> JournalError {
         let at = self.end.offset;
         let undone = self
@@ -267,7 +274,9 @@ impl Journal {
     }
 
     /// Moves a journal that [`Journal::begin`] began into its place, over an older one, and records its
-    /// watermark. A crash leaves one of the two journals, and a watermark of each.
+    /// watermark.
+    ///
+    /// A crash leaves one of the two journals, and a watermark of each.
     pub(super) fn install(
         self,
         disk: &dyn Disk,
@@ -292,7 +301,7 @@ impl Journal {
         if let Some(folder) = place.parent() {
             disk.sync_folder(folder).map_err(fault("sync", folder))?;
         }
-        // The other slot still holds the older journal's.
+        // The other slot still contains the watermark of the older journal.
         marks.record(&mark)?;
         marks.sync()?;
         Ok(end.offset)
@@ -304,19 +313,20 @@ pub(super) struct Inspected {
     /// The journal's id.
     pub(super) id: u64,
     /// The end of the good frames.
-    pub(super) end: Place,
+    pub(super) end: JournalPosition,
     /// The length of the file in bytes.
     pub(super) length: u64,
     /// The acknowledged part, if a watermark or the view records it.
     pub(super) acknowledged: Option<Watermark>,
     /// True if the good frames contain the acknowledged part.
     pub(super) is_met: bool,
-    /// The offset and the description of damage to the acknowledged part.
+    /// The offset and the description of the damage; `None` if the journal is intact.
     pub(super) damage: Option<(u64, String)>,
 }
 
 impl Inspected {
-    /// Returns the outcome for a journal whose file is missing: damage if frames of it were acknowledged.
+    /// Returns the outcome for a missing journal file. If frames of the journal were acknowledged, the
+    /// outcome contains damage.
     pub(super) fn missing(marks: &[Watermark], view: Option<Watermark>) -> Self {
         let acknowledged = marks
             .iter()
@@ -325,8 +335,8 @@ impl Inspected {
             .max_by_key(|mark| mark.length);
         let acknowledged = acknowledged.filter(|mark| mark.length > HEADER_BYTES);
         let id = acknowledged.map_or(0, |mark| mark.journal);
-        let damage = acknowledged.map(|_| (0, "it is missing".to_owned()));
-        let end = Place {
+        let damage = acknowledged.map(|_| (0, "the file is missing".to_owned()));
+        let end = JournalPosition {
             offset: HEADER_BYTES,
             chain: id,
         };
@@ -341,16 +351,16 @@ impl Inspected {
     }
 }
 
-/// Reads a journal without changing it. Calls `visit` for the payload of each good frame before the first
-/// bad one, with the frame's end.
+/// Reads a journal without changing it, and calls `visit` for each good frame before the first bad frame.
 ///
-/// `marks` are the watermarks of the file, and `view` is the acknowledged part as the view knows it.
+/// `visit` receives the payload and the end of the frame. `marks` are the watermarks of the file, and `view`
+/// is the acknowledged part that the view records.
 pub(super) fn inspect<E: From<JournalError>>(
     disk: &dyn Disk,
     path: &Path,
     marks: &[Watermark],
     view: Option<Watermark>,
-    mut visit: impl FnMut(&[u8], Place) -> Result<(), E>,
+    mut visit: impl FnMut(&[u8], JournalPosition) -> Result<(), E>,
 ) -> Result<Inspected, E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
     let length = file
@@ -358,7 +368,7 @@ pub(super) fn inspect<E: From<JournalError>>(
         .map_err(fault("measure", path))?;
     file.rewind().map_err(fault("seek in", path))?;
     let header = read_header(&mut *file, path)?;
-    // The watermarks know the id where the header does not.
+    // If the header is unreadable, the watermarks still contain the id.
     let id = header
         .as_ref()
         .copied()
@@ -370,7 +380,7 @@ pub(super) fn inspect<E: From<JournalError>>(
         .filter(|mark| mark.journal == id);
     let acknowledged = ours.max_by_key(|mark| mark.length);
     let mut damage = header.err().map(|what| (0, what));
-    let start = Place {
+    let start = JournalPosition {
         offset: HEADER_BYTES,
         chain: id,
     };
@@ -380,7 +390,8 @@ pub(super) fn inspect<E: From<JournalError>>(
         at: start,
         length: length.max(HEADER_BYTES),
     };
-    let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
+    let is_acknowledged =
+        |end: JournalPosition| acknowledged.is_some_and(|mark| mark.place() == end);
     let mut is_met = is_acknowledged(start);
     let bad = loop {
         match frames.next()? {
@@ -397,17 +408,15 @@ pub(super) fn inspect<E: From<JournalError>>(
         damage.get_or_insert((end.offset, what));
     };
     match acknowledged {
-        // A journal has one before it has its name.
-        None => damaged("its watermark is missing".to_owned()),
+        // A journal gets its watermark before its name, so a missing watermark is damage.
+        None => damaged("the watermark of the journal is missing".to_owned()),
         Some(mark) if mark.length > end.offset => {
             damaged(
                 bad.clone()
-                    .unwrap_or_else(|| format!("it ends before byte {}", mark.length)),
+                    .unwrap_or_else(|| format!("the file ends before byte {}", mark.length)),
             );
         }
-        Some(_) if !is_met => {
-            damaged("its frames are others than those that were acknowledged".to_owned())
-        }
+        Some(_) if !is_met => damaged("the frames differ from the acknowledged frames".to_owned()),
         Some(_) => {}
     }
     if let Some(what) = bad
@@ -425,15 +434,17 @@ pub(super) fn inspect<E: From<JournalError>>(
     })
 }
 
-/// Calls `visit` for the payloads of all frames from `from` on, each with the frame's end, in the first
-/// `length` bytes of an open journal, which may be longer. Returns `false` without a call if no frame of this
-/// journal begins or ends at `from`.
+/// Calls `visit` for each frame at or after `from` in an open journal. Only the first `length` bytes of the
+/// journal are read.
+///
+/// The file may be longer than `length`. `visit` also receives the end of the frame. Returns false without a
+/// call if no frame of this journal begins or ends at `from`.
 pub(super) fn replay<E: From<JournalError>>(
     disk: &dyn Disk,
     path: &Path,
-    from: Place,
+    from: JournalPosition,
     length: u64,
-    mut visit: impl FnMut(&[u8], Place) -> Result<(), E>,
+    mut visit: impl FnMut(&[u8], JournalPosition) -> Result<(), E>,
 ) -> Result<bool, E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
     let id = read_header(&mut *file, path)?;
@@ -444,7 +455,7 @@ pub(super) fn replay<E: From<JournalError>>(
         lost: String::new(),
     };
     let id = id.map_err(|what| damaged(0, what))?;
-    let at = Place {
+    let at = JournalPosition {
         offset: HEADER_BYTES,
         chain: id,
     };
@@ -471,13 +482,15 @@ pub(super) fn replay<E: From<JournalError>>(
     }
 }
 
-/// Calls `visit` for the payload of every good frame that begins at or behind `from`, whatever lies between
-/// them, with the place where the frame begins and its end.
+/// Calls `visit` for every good frame that begins at or after the offset `from`.
+///
+/// `visit` receives the payload, the beginning and the end of the frame. Bytes between good frames are
+/// skipped.
 pub(super) fn scattered_frames<E: From<JournalError>>(
     disk: &dyn Disk,
     path: &Path,
     from: u64,
-    mut visit: impl FnMut(&[u8], Place, Place) -> Result<(), E>,
+    mut visit: impl FnMut(&[u8], JournalPosition, JournalPosition) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
     file.seek(SeekFrom::Start(from))
@@ -497,8 +510,8 @@ pub(super) fn scattered_frames<E: From<JournalError>>(
     Ok(())
 }
 
-/// Returns the payload, the beginning and the end of the frame that begins at `offset`, if it is good.
-fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], Place, Place)> {
+/// Returns the frame that begins at `offset`, if it is good: its payload, its beginning and its end.
+fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], JournalPosition, JournalPosition)> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     let (previous, rest) = rest.split_first_chunk::<8>()?;
     let (found, rest) = rest.split_first_chunk::<8>()?;
@@ -506,12 +519,12 @@ fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], Place, Place)> {
     let payload = rest
         .get(..length as usize)
         .filter(|_| length > 0 && length as usize <= MAX_FRAME_BYTES)?;
-    let begins = Place {
+    let begins = JournalPosition {
         offset,
         chain: u64::from_le_bytes(*previous),
     };
     let chain = check(begins, length, payload);
-    let end = Place {
+    let end = JournalPosition {
         offset: offset + FRAME_HEADER + u64::from(length),
         chain,
     };
@@ -520,8 +533,8 @@ fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], Place, Place)> {
 
 /// Writes the bytes of a file between two offsets again, and syncs the file.
 ///
-/// After a failed sync the page cache still shows the bytes, but the system calls their pages clean, so that
-/// no later sync writes them. A frame behind the watermark may have met that in an earlier process.
+/// After a failed sync, the page cache still contains the bytes, but the system treats their pages as clean,
+/// so no later sync writes them. A frame behind the watermark may have been left so by an earlier process.
 fn rewrite(file: &mut dyn DiskFile, from: u64, to: u64) -> io::Result<()> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(from))?;
@@ -540,8 +553,8 @@ fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> JournalError
     }
 }
 
-/// Computes the check of a frame that begins at a place.
-fn check(begins: Place, length: u32, payload: &[u8]) -> u64 {
+/// Computes the check of a frame that begins at this position.
+fn check(begins: JournalPosition, length: u32, payload: &[u8]) -> u64 {
     let mut hasher = blake3::Hasher::new();
     hasher
         .update(&begins.offset.to_le_bytes())
@@ -578,10 +591,10 @@ fn create(disk: &dyn Disk, path: &Path) -> Result<(), JournalError> {
     Ok(())
 }
 
-/// Reads the header; returns the journal's id, or the fault of the header.
+/// Reads the header, and returns the journal's id or the description of the header's fault.
 ///
 /// # Errors
-/// [`JournalError::BadHeader`] when another version has written the file.
+/// [`JournalError::BadHeader`] if another version wrote the file.
 fn read_header(file: &mut dyn DiskFile, path: &Path) -> Result<Result<u64, String>, JournalError> {
     let mut bytes = Vec::new();
     file.take(HEADER_BYTES)
@@ -591,7 +604,7 @@ fn read_header(file: &mut dyn DiskFile, path: &Path) -> Result<Result<u64, Strin
         .split_first_chunk::<8>()
         .filter(|_| bytes.len() as u64 == HEADER_BYTES)
     else {
-        return Ok(Err("it is shorter than its header".to_owned()));
+        return Ok(Err("the file is shorter than a header".to_owned()));
     };
     let field = |at: usize| {
         rest.get(at..)
@@ -600,7 +613,7 @@ fn read_header(file: &mut dyn DiskFile, path: &Path) -> Result<Result<u64, Strin
             .unwrap_or_default()
     };
     if field(12) != crc32c::crc32c(&bytes[..20]).to_le_bytes() {
-        return Ok(Err("the checksum of its header does not match".to_owned()));
+        return Ok(Err("the checksum of the header does not match".to_owned()));
     }
     if magic != MAGIC || field(0) != VERSION.to_le_bytes() {
         let what = format!(
@@ -625,11 +638,11 @@ enum Next {
     Bad(String),
 }
 
-/// Reads the frames of one chain in order.
+/// A reader of the frames of one chain, in order.
 struct Frames<'a> {
     path: &'a Path,
     reader: BufReader<Box<dyn DiskFile>>,
-    at: Place,
+    at: JournalPosition,
     length: u64,
 }
 
@@ -640,7 +653,9 @@ impl Frames<'_> {
             return Ok(Next::End);
         }
         if left < FRAME_HEADER {
-            return Ok(Next::Bad(format!("{left} bytes are too short for a frame")));
+            return Ok(Next::Bad(format!(
+                "the last {left} bytes are too few for a frame"
+            )));
         }
         let mut frame = vec![0; FRAME_HEADER as usize];
         self.fill(&mut frame)?;
@@ -653,7 +668,7 @@ impl Frames<'_> {
             || u64::from(length) > left - FRAME_HEADER
         {
             return Ok(Next::Bad(format!(
-                "a frame of {length} bytes where {left} bytes are left"
+                "the frame header announces {length} bytes, but the file has {left} more bytes"
             )));
         }
         frame.resize(FRAME_HEADER as usize + length as usize, 0);
@@ -682,14 +697,15 @@ impl Frames<'_> {
     }
 }
 
-/// Returns true if a good frame lies behind the bad one at `bad`: then the bad one was once whole.
+/// Returns true if the bad frame at the offset `bad` was written completely before: a good frame follows the
+/// bad frame, or the file is longer than one unfinished write leaves it.
 fn is_followed_by_frame(
     disk: &dyn Disk,
     path: &Path,
     bad: u64,
     length: u64,
 ) -> Result<bool, JournalError> {
-    // One unfinished write leaves no more than this.
+    // One unfinished write leaves at most this number of bytes.
     if length.saturating_sub(bad) > FRAME_HEADER + MAX_FRAME_BYTES as u64 {
         return Ok(true);
     }

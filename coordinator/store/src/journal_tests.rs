@@ -1,5 +1,5 @@
-//! The journal against truncation at every byte, every bit flipped, zeroes, old content, and a disk that
-//! fails.
+//! Tests of the journal: truncation at every byte, every flipped bit, zeroes, old content, and a failing
+//! disk.
 
 use super::super::disk::SystemDisk;
 use super::super::disk::simulated::{Faults, SimulatedDisk};
@@ -17,7 +17,7 @@ fn open(path: &Path) -> Result<Journal, JournalError> {
 fn payloads(path: &Path) -> Result<Vec<Vec<u8>>, JournalError> {
     let journal = open(path)?;
     let mut all = Vec::new();
-    let start = Place {
+    let start = JournalPosition {
         offset: HEADER_BYTES,
         chain: journal.id(),
     };
@@ -58,7 +58,7 @@ fn frame_bytes(payload: &[u8]) -> usize {
 }
 
 #[test]
-fn every_cut_of_acknowledged_journal_is_refused() {
+fn every_cut_of_acknowledged_journal_is_rejected() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
     let (whole, _) = written(&path);
@@ -103,7 +103,7 @@ fn torn_frame_behind_watermark_is_cut_off() {
 }
 
 #[test]
-fn every_flip_and_zeroed_end_is_refused() {
+fn every_flip_and_zeroed_end_is_rejected() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
     let (whole, _) = written(&path);
@@ -148,12 +148,12 @@ fn frame_is_bound_to_its_place_and_history() {
     let whole = std::fs::read(&path).unwrap();
     let frame = frame_bytes(b"one!");
     let (first, second) = (HEADER_BYTES as usize, HEADER_BYTES as usize + frame);
-    // A frame of the same length in another place: the disk wrote it to a wrong address.
+    // The disk wrote a frame of the same length to a wrong position.
     let mut moved = whole.clone();
     moved.copy_within(first..first + frame, second);
     std::fs::write(&path, &moved).unwrap();
     assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
-    // The same frame with its predecessor corrected: only its offset is another one.
+    // The same frame with a corrected predecessor: only its offset differs.
     let previous = whole[first + 12..first + 20].to_vec();
     moved[second + 4..second + 12].copy_from_slice(&previous);
     std::fs::write(&path, &moved).unwrap();
@@ -175,7 +175,7 @@ fn frame_is_bound_to_its_place_and_history() {
 }
 
 #[test]
-fn journal_without_watermark_is_refused() {
+fn journal_without_watermark_is_rejected() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
     let (whole, before) = written(&path);
@@ -188,7 +188,7 @@ fn journal_without_watermark_is_refused() {
     std::fs::remove_file(&mark).unwrap();
     assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
     assert!(!mark.exists() && std::fs::read(&path).unwrap() == whole);
-    // The view can stand in for it.
+    // The view can replace the watermark.
     std::fs::write(&mark, &before).unwrap();
     let end = open(&path).unwrap().end();
     std::fs::remove_file(&mark).unwrap();
@@ -202,7 +202,7 @@ fn view_ahead_of_journal_is_damage() {
     let path = directory.path().join("journal");
     written(&path);
     let journal = open(&path).unwrap();
-    let end = Place {
+    let end = JournalPosition {
         offset: journal.end().offset + 30,
         chain: 1,
     };
@@ -211,7 +211,7 @@ fn view_ahead_of_journal_is_damage() {
         Journal::open(&SystemDisk, &path, Some(ahead)),
         Err(JournalError::Damaged { .. })
     ));
-    // A view of another journal does not count.
+    // A watermark of another journal has no effect.
     let foreign = Watermark {
         journal: !journal.id(),
         ..ahead
@@ -225,7 +225,7 @@ fn replay_begins_at_frames_only() {
     let path = directory.path().join("journal");
     let (whole, _) = written(&path);
     let journal = open(&path).unwrap();
-    let mut ends = vec![Place {
+    let mut ends = vec![JournalPosition {
         offset: HEADER_BYTES,
         chain: journal.id(),
     }];
@@ -248,7 +248,7 @@ fn replay_begins_at_frames_only() {
             let reached = replay(
                 &SystemDisk,
                 &path,
-                Place { offset, chain },
+                JournalPosition { offset, chain },
                 journal.end().offset,
                 |_, _| {
                     seen += 1;
@@ -279,7 +279,7 @@ fn on_simulated_disk() -> (SimulatedDisk, PathBuf, Journal) {
 fn count(disk: &SimulatedDisk, path: &Path) -> usize {
     let journal = Journal::open(disk, path, None).unwrap();
     let mut count = 0;
-    let start = Place {
+    let start = JournalPosition {
         offset: HEADER_BYTES,
         chain: journal.id(),
     };

@@ -1,20 +1,20 @@
-//! How long each stored text may be, and the checks of it.
+//! Checks of the lengths and characters of stored texts.
 //!
-//! The limits keep every stored value under 4 KiB (`table.rs` checks the encoded value again). Identifiers
-//! and names that are too long are refused; reasons are shortened, because a failure must always be
-//! recordable. Characters that JSON would have to escape are refused or replaced for the same reason.
+//! The limits keep every stored value below 4 KiB (`table.rs` checks the encoded value again). Identifiers
+//! and names that are too long are rejected. Reasons are shortened instead, because a failure must always be
+//! recordable. For the same reason, characters that JSON must escape are rejected or replaced.
 
 use sightline_records::MAX_REASON_BYTES;
 
 use super::error::StoreError;
 
-/// Refuses an identifier that is too long or that JSON would have to escape.
+/// Returns an error if an identifier is too long, or contains a character that JSON must escape.
 pub(super) fn check_identifier(
     what: &'static str,
     text: &str,
     limit: usize,
 ) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
+    check_length(what, text.len(), "bytes", limit)?;
     match text
         .chars()
         .find(|c| c.is_control() || matches!(c, '"' | '\\'))
@@ -24,25 +24,27 @@ pub(super) fn check_identifier(
     }
 }
 
-/// Refuses a name that is too long or holds control characters.
+/// Returns an error if a name is too long or contains control characters.
 pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
+    check_length(what, text.len(), "bytes", limit)?;
     match text.chars().find(|c| c.is_control()) {
         Some(found) => Err(StoreError::BadCharacter { what, found }),
         None => Ok(()),
     }
 }
 
-/// Refuses data longer than its bound, in bytes.
+/// Returns an error if a length in a unit, such as `bytes`, exceeds its limit.
 pub(super) fn check_length(
     what: &'static str,
     length: usize,
+    unit: &'static str,
     limit: usize,
 ) -> Result<(), StoreError> {
     if length > limit {
         Err(StoreError::TooLong {
             what,
             length,
+            unit,
             limit,
         })
     } else {
@@ -50,7 +52,7 @@ pub(super) fn check_length(
     }
 }
 
-/// A reason made recordable: quotes and control characters replaced, cut at a character boundary.
+/// Returns a recordable reason: without quotes and control characters, cut at a character boundary.
 pub(super) fn clean_reason(reason: &str) -> String {
     let mut clean = String::new();
     for c in reason.chars() {

@@ -1,10 +1,10 @@
-//! The view of the embedded store that answers queries: sled, or, once sled has failed, the same entries in
-//! memory.
+//! The view of the embedded store, which answers queries. The view is sled or, after sled has failed, the
+//! same entries in memory.
 //!
-//! A sled that has met a full disk refuses all later changes. Reading it may fail, too, even before it has
-//! refused one: a read divides a page that has grown, which is a write. Neither is an error of the store, for
-//! all of it is in the journal. The entries then go on in memory alone until the next start, at which sled is
-//! brought up to date.
+//! After sled has met a full disk, it rejects all later changes. Reading it may fail, too, even before it has
+//! rejected a change: a read splits a page that has grown, which is a write. Neither is an error of the
+//! store, because the journal contains the complete state. The entries then stay in memory until the next
+//! start, which brings sled up to date.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,16 +16,16 @@ use serde::{Deserialize, Serialize};
 
 use super::disk::Disk;
 use super::error::StoreError;
-use super::journal::{self, HEADER_BYTES, Journal, Place};
+use super::journal::{self, HEADER_BYTES, Journal, JournalPosition};
 use super::rules;
 use super::salvage::ViewEntries;
-use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
+use super::table::{Bytes, ChangedTable, Changes, Table, View, decode, encode};
 use super::watermark::Watermark;
 
-/// While rebuilding, sled is changed after this many keys.
+/// The number of changed keys after which a rebuild writes a batch to sled.
 const REBUILD_KEYS: usize = 4096;
 const APPLIED: &[u8] = b"a";
-/// Memory of sled for entries; its default is a gigabyte.
+/// The cache capacity of sled, in bytes. Default of sled: 1 GiB.
 const CACHE_BYTES: u64 = 64 << 20;
 
 /// The part of the journal that the view contains; stored in the view.
@@ -33,11 +33,12 @@ const CACHE_BYTES: u64 = 64 << 20;
 struct Applied {
     /// The journal's id.
     journal: u64,
-    /// The end of the last frame applied.
+    /// The offset of the end of the last applied frame, in bytes.
     offset: u64,
-    /// The running checksum of the journal there.
+    /// The running checksum of the journal at `offset`.
     chain: u64,
-    /// Sum of the hashes of all other entries: a lost, stale or damaged one is found at the next start.
+    /// The sum of the hashes of all other entries. The next start detects a lost, stale or damaged entry by
+    /// it.
     sum: u64,
 }
 
@@ -52,32 +53,32 @@ impl Applied {
         }
     }
 
-    fn place(&self) -> Place {
-        Place {
+    fn place(&self) -> JournalPosition {
+        JournalPosition {
             offset: self.offset,
             chain: self.chain,
         }
     }
 }
 
-/// The state as queries see it: sled or what has taken its place, and changes that it has not accepted yet.
+/// The state that queries read: sled or its replacement, with changes that it has not accepted yet.
 pub(super) struct Live {
     db: Entries,
-    /// The entries once sled cannot be read; the next change puts them in its place.
+    /// The entries that replace an unreadable sled at the next change.
     anew: OnceLock<BTreeMap<Bytes, Bytes>>,
     disk: Arc<dyn Disk>,
-    /// The journal.
+    /// The path of the journal.
     path: PathBuf,
     applied: Applied,
-    /// Changes of frames that are not applied yet.
+    /// The changes of frames that are not applied yet.
     waiting: Changes,
 }
 
-/// Where the entries of a view are.
+/// The storage of a view's entries.
 enum Entries {
     Sled(sled::Db),
     Memory(BTreeMap<Bytes, Bytes>),
-    /// A sled that can neither be read nor changed.
+    /// A sled that can be neither read nor changed.
     #[cfg(test)]
     Stuck,
 }
@@ -113,7 +114,7 @@ impl std::fmt::Debug for Live {
 impl Table for Live {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
         self.read(|entries| {
-            Over {
+            ChangedTable {
                 under: entries,
                 changes: &self.waiting,
             }
@@ -123,7 +124,7 @@ impl Table for Live {
 
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
         self.read(|entries| {
-            Over {
+            ChangedTable {
                 under: entries,
                 changes: &self.waiting,
             }
@@ -176,22 +177,22 @@ impl Live {
             Some(value) => decode(APPLIED, &value)?,
             None => Applied::nothing_of(0),
         };
-        let live = Self::of(Entries::Sled(db), applied, disk, journal);
+        let live = Self::new(Entries::Sled(db), applied, disk, journal);
         let sum = live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| {
             sum.wrapping_add(hash(key, value))
         });
         if sum != applied.sum {
             return Err(StoreError::View {
-                what: "its entries do not add up".to_owned(),
+                what: "the sum of the hashes of the entries is wrong".to_owned(),
             });
         }
         Ok(live)
     }
 
-    /// Begins an empty view in memory, which lasts until the end of the process.
+    /// Creates an empty view in memory, which lasts until the end of the process.
     #[cfg(any(test, feature = "simulation"))]
     pub(super) fn in_memory(disk: Arc<dyn Disk>, journal: &Path) -> Self {
-        Self::of(
+        Self::new(
             Entries::Memory(BTreeMap::new()),
             Applied::nothing_of(0),
             disk,
@@ -199,7 +200,7 @@ impl Live {
         )
     }
 
-    fn of(db: Entries, applied: Applied, disk: Arc<dyn Disk>, path: &Path) -> Self {
+    fn new(db: Entries, applied: Applied, disk: Arc<dyn Disk>, path: &Path) -> Self {
         let waiting = Changes::new();
         Self {
             db,
@@ -211,8 +212,8 @@ impl Live {
         }
     }
 
-    /// Returns the acknowledged part of the journal that the view was made from; `None` for a view of no
-    /// frame.
+    /// Returns the position in the journal up to which the view contains all frames, with the next job number
+    /// and the epoch at this position. Returns `None` if the view contains no frame.
     pub(super) fn watermark(&self) -> Result<Option<Watermark>, StoreError> {
         let Applied {
             journal,
@@ -234,7 +235,8 @@ impl Live {
         }))
     }
 
-    /// Returns the entries with the part of the journal that they stand for; `None` for a view of no frame.
+    /// Returns the entries of the view with the result of [`Self::watermark`]. Returns `None` if the view
+    /// contains no frame.
     pub(super) fn entries(&self) -> Result<Option<ViewEntries>, StoreError> {
         let Some(mark) = self.watermark()? else {
             return Ok(None);
@@ -249,19 +251,20 @@ impl Live {
         }
         if self.applied.journal != journal.id() {
             return Err(StoreError::View {
-                what: "it was made from another journal".to_owned(),
+                what: "the view was made from another journal".to_owned(),
             });
         }
         if !self.replay(journal.end().offset)? {
             let (has, end) = (self.applied.offset, journal.end().offset);
-            let what = format!("it stands for {has} bytes of a journal of {end}");
+            let what = format!("the view contains {has} bytes of a journal of {end} bytes");
             return Err(StoreError::View { what });
         }
         Ok(self)
     }
 
-    /// Applies the frames up to `length` bytes of the journal. Returns `false`, with nothing applied, when
-    /// none begins or ends where the view ends.
+    /// Applies the frames up to `length` bytes of the journal.
+    ///
+    /// Returns false, without applying any frame, if no frame begins or ends at the end of the view.
     fn replay(&mut self, length: u64) -> Result<bool, StoreError> {
         let (disk, path) = (Arc::clone(&self.disk), self.path.clone());
         let from = self.applied.place();
@@ -286,8 +289,7 @@ impl Live {
         Ok(reached)
     }
 
-    /// Reads the entries, without waiting changes: those of sled, or from its first error on those of the
-    /// journal.
+    /// Reads the entries without waiting changes: from sled or, after its first error, from the journal.
     fn read<A>(&self, ask: impl Fn(&dyn Table) -> Result<A, StoreError>) -> Result<A, StoreError> {
         if let Some(entries) = self.anew.get() {
             return ask(entries);
@@ -298,12 +300,12 @@ impl Live {
         }
     }
 
-    /// The entries that the view stands for, from the journal: sled cannot be read.
+    /// Reads the entries of the view from the journal, because sled cannot be read.
     fn read_anew(&self, what: &str) -> Result<&BTreeMap<Bytes, Bytes>, StoreError> {
         let applied = Applied::nothing_of(self.applied.journal);
         let (disk, memory) = (Arc::clone(&self.disk), Entries::Memory(BTreeMap::new()));
-        let mut anew = Self::of(memory, applied, disk, &self.path);
-        // What follows may not be durable yet.
+        let mut anew = Self::new(memory, applied, disk, &self.path);
+        // Frames behind the applied part may not be durable yet.
         let replayed = anew.replay(self.applied.offset).inspect_err(
             |unread| tracing::error!(%what, %unread, "neither the store's view nor its journal can be read"),
         );
@@ -315,17 +317,18 @@ impl Live {
         let entries: BTreeMap<Bytes, Bytes> = anew.db.scan(&[])?.into_iter().collect();
         tracing::warn!(
             %what, entries = entries.len(),
-            "the store's view cannot be read; it is made from the journal and kept in memory until the \
-             next start"
+            "the store's view cannot be read; it is rebuilt from the journal and stays in memory \
+             until the next start"
         );
         Ok(self.anew.get_or_init(|| entries))
     }
 
-    /// Applies the changes of a frame of the journal that ends at `end`. When sled refuses them, or could not
-    /// be read before, the entries go on in memory.
-    pub(super) fn take(&mut self, changes: Changes, end: Place) {
+    /// Applies the changes of a journal frame that ends at `end`.
+    ///
+    /// If sled rejects the changes, or could not be read before, the entries stay in memory from then on.
+    pub(super) fn take(&mut self, changes: Changes, end: JournalPosition) {
         if let Some(entries) = self.anew.take() {
-            self.go_on_with(entries);
+            self.replace_sled(entries);
         }
         self.waiting.extend(changes);
         let Err(error) = self.apply(end) else { return };
@@ -333,26 +336,27 @@ impl Live {
             Ok(entries) => {
                 tracing::warn!(
                     %error, entries = entries.len(),
-                    "the store's view refused a change, which is durable in the journal; until the next \
-                     start the view is kept in memory"
+                    "the store's view rejected a change, which is durable in the journal; the view \
+                     is in memory until the next start"
                 );
-                self.go_on_with(entries.into_iter().collect());
+                self.replace_sled(entries.into_iter().collect());
                 (self.applied.offset, self.applied.chain) = (end.offset, end.chain);
                 self.waiting.clear();
             }
-            // The change stays where queries look, and is tried again with the next one.
+            // The change stays in `waiting`, where queries see it. The next change retries it.
             Err(unread) => tracing::warn!(
                 %error, %unread, keys = self.waiting.len(),
-                "the store's view refused a change, which is durable in the journal, and cannot be read"
+                "the store's view rejected a change, which is durable in the journal, and cannot \
+                 be read"
             ),
         }
     }
 
-    /// Puts entries in sled's place, and closes it.
-    fn go_on_with(&mut self, entries: BTreeMap<Bytes, Bytes>) {
+    /// Replaces sled by entries in memory, and closes sled.
+    fn replace_sled(&mut self, entries: BTreeMap<Bytes, Bytes>) {
         self.anew = OnceLock::new();
         let old = std::mem::replace(&mut self.db, Entries::Memory(entries));
-        // On a disk in trouble sled panics when it is closed.
+        // On a faulty disk, sled panics when it is closed.
         let closed = guarded(|| {
             drop(old);
             Ok(())
@@ -362,7 +366,7 @@ impl Live {
         }
     }
 
-    /// Syncs sled's files. Not needed for durability; it only shortens the next start's replay.
+    /// Syncs sled's files. Durability does not need this; it only shortens the next start's replay.
     pub(super) fn flush(&self) {
         if let Entries::Sled(db) = &self.db
             && let Err(error) = guarded(|| db.flush())
@@ -374,21 +378,21 @@ impl Live {
         }
     }
 
-    /// Does what a refused change does: the view goes on in memory.
+    /// Simulates a change that sled rejects: moves the view into memory.
     #[cfg(test)]
     pub(super) fn refuse_changes(&mut self) {
         let entries = self.scan(&[]).unwrap();
         self.db = Entries::Memory(entries.into_iter().collect());
     }
 
-    /// From now on sled is as on a full disk: it can neither be read nor changed.
+    /// Simulates a full disk: sled can be neither read nor changed from now on.
     #[cfg(test)]
     pub(super) fn get_stuck(&mut self) {
         self.db = Entries::Stuck;
     }
 
-    /// Gives the waiting changes to sled, in one batch with the offset that the view then contains.
-    fn apply(&mut self, end: Place) -> Result<(), StoreError> {
+    /// Writes the waiting changes to sled, in one batch with the offset that the view then contains.
+    fn apply(&mut self, end: JournalPosition) -> Result<(), StoreError> {
         if self.waiting.is_empty() && self.applied.place() == end {
             return Ok(());
         }
@@ -440,7 +444,7 @@ fn hash(key: &[u8], value: &[u8]) -> u64 {
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
-/// Calls sled. On damaged files it panics in places where it should return an error.
+/// Calls sled, and returns a panic as an error. On damaged files, sled panics in some places.
 fn guarded<T>(call: impl FnOnce() -> sled::Result<T>) -> Result<T, StoreError> {
     match catch_unwind(AssertUnwindSafe(call)) {
         Ok(result) => result.map_err(|e| StoreError::View {

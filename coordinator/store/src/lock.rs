@@ -8,24 +8,24 @@ use std::sync::Arc;
 use super::error::StoreError;
 use super::private::create_private;
 
-/// A directory of which this process is the only user, until this is dropped.
+/// A directory that only this process uses, until the value is dropped.
 #[derive(Debug)]
 pub struct OwnDirectory(
     #[allow(dead_code, reason = "its lock is released when it is dropped")] File,
 );
 
 impl OwnDirectory {
-    /// Creates the directory if it is missing and takes its lock.
+    /// Creates the directory if it is missing, and locks it.
     ///
     /// # Errors
-    /// [`StoreError::InUse`] when another process has it, [`StoreError::Io`].
+    /// [`StoreError::InUse`] if another process has locked it; [`StoreError::Io`] if a file operation fails.
     pub fn take(directory: &Path) -> Result<Self, StoreError> {
         create_private(directory).map_err(fault("create", directory))?;
         lock(&directory.join("lock")).map(Self)
     }
 }
 
-/// Takes the directory's lock, which the system releases when the process ends, however it ends.
+/// Locks the directory. The system releases the lock when the process ends for any reason.
 pub(super) fn lock(path: &Path) -> Result<File, StoreError> {
     let mut file = OpenOptions::new()
         .read(true)
@@ -41,7 +41,7 @@ pub(super) fn lock(path: &Path) -> Result<File, StoreError> {
     Ok(file)
 }
 
-/// Locks the file at `path` without changing it. Returns `None` if there is no such file.
+/// Locks the file at `path` without changing it. Returns `None` if the file does not exist.
 pub(super) fn probe(path: &Path) -> Result<Option<File>, StoreError> {
     let mut file = match File::open(path) {
         Ok(file) => file,
@@ -52,13 +52,13 @@ pub(super) fn probe(path: &Path) -> Result<Option<File>, StoreError> {
     Ok(Some(file))
 }
 
-/// Returns the error of a lock that another process holds.
+/// Returns an error if another process holds the lock.
 fn held(taken: Result<(), TryLockError>, file: &mut File, path: &Path) -> Result<(), StoreError> {
     match taken {
         Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
             let mut pid = String::new();
-            // Only for the message; its holder may not have written it yet.
+            // The pid is only for the message; the other process may not have written it yet.
             let known = file.read_to_string(&mut pid).is_ok() && !pid.trim().is_empty();
             let pid = if known {
                 pid.trim().to_owned()
@@ -74,7 +74,7 @@ fn held(taken: Result<(), TryLockError>, file: &mut File, path: &Path) -> Result
     }
 }
 
-/// What failed while `doing` something to a path of the store.
+/// Returns a function that creates the error of an operation (`doing`) on a path of the store.
 pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(std::io::Error) -> StoreError {
     let path = path.to_owned();
     move |source| StoreError::Io {

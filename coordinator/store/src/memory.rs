@@ -1,5 +1,5 @@
-//! The store in memory: for tests and for measuring the cost of durability. Its state is lost when it is
-//! dropped.
+//! The store in memory, for tests and for measurements of the cost of durability. Dropping it loses its
+//! state.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -9,19 +9,19 @@ use super::error::StoreError;
 use super::rules::{self, Decision};
 use super::table::{Bytes, View};
 
-/// A store without a disk, with the rules and answers of the store on disk.
+/// A store without a disk, with the same rules and answers as the store on a disk.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
     table: Mutex<BTreeMap<Bytes, Bytes>>,
 }
 
 impl MemoryStore {
-    /// An empty store.
+    /// Creates an empty store.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Creates a store of these entries.
+    /// Creates a store with these entries.
     pub(super) fn with(entries: BTreeMap<Bytes, Bytes>) -> Self {
         Self {
             table: Mutex::new(entries),
@@ -34,8 +34,7 @@ impl Engine for MemoryStore {
         &self,
         ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
     ) -> Result<A, StoreError> {
-        // Changes are computed before the first is made, so a panic elsewhere cannot leave the table half
-        // changed.
+        // All changes are computed before the first is made, so a panic cannot leave the table half changed.
         ask(View(
             &*self.table.lock().unwrap_or_else(PoisonError::into_inner),
         ))

@@ -1,8 +1,9 @@
-//! The outcomes of the phases of unfinished tiles, so that a tile goes on where its worker was lost.
+//! The outcomes of the phases of unfinished tiles. Another worker continues a tile from them after its worker
+//! is lost.
 //!
 //! Each tile has a file of frames: length, BLAKE3 hash, bytes. Files are not synced and frames are not
-//! acknowledged: an outcome that is lost or damaged is computed again, and so are those behind it. The
-//! outcomes of a phase are equal whoever computed them, so frames are only ever appended.
+//! acknowledged. If an outcome is lost or damaged, a worker computes it and all later outcomes again. The
+//! outcome of a phase does not depend on the worker, so frames are only appended.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -10,37 +11,48 @@ use std::io::{Read, Seek as _, SeekFrom, Take, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use sightline_numbers::ids::PhaseIndex;
 use sightline_records::ids::{JobId, TileIndex};
 
-/// Length and hash before the bytes of a frame.
+/// Length of a frame's header (length and hash), in bytes.
 const HEADER: u64 = 8 + 32;
-/// Most bytes of an outcome.
+/// Maximum length of an outcome, in bytes.
 pub const MAX_OUTCOME_BYTES: u64 = 1 << 30;
 
 type Tile = (JobId, TileIndex);
 
-/// The outcomes of tiles.
+/// The stored outcomes of all unfinished tiles.
 pub struct Outcomes {
-    /// `None` keeps nothing.
+    /// The directory of the files, or `None` to store no outcomes.
     directory: Option<PathBuf>,
-    /// The files of the tiles that have outcomes. Each has its own lock, so that a slow disk delays one
-    /// tile's crew at a time.
+    /// The files of the tiles with outcomes. Each file has its own lock, so that a slow disk delays the crew
+    /// of only one tile at a time.
     files: Mutex<BTreeMap<Tile, Arc<Mutex<Ends>>>>,
 }
 
-/// Where the frames of a file end, once it was read. The last number is the end of the file.
+/// The ends of a file's frames as offsets in bytes; `None` before the file is read. The last offset is the
+/// end of the last complete frame.
 type Ends = Option<Vec<u64>>;
 
+/// The length and the hash of an outcome, which precede it in the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutcomeHeader {
+    /// The length in bytes.
+    pub length: u64,
+    /// The BLAKE3 hash.
+    pub hash: blake3::Hash,
+}
+
 impl Outcomes {
-    /// The outcomes in a directory, which is created when the first one is kept.
-    pub fn of(directory: PathBuf) -> Self {
+    /// Creates outcomes in a directory. The first stored outcome creates the directory.
+    pub fn in_directory(directory: PathBuf) -> Self {
         Self {
             directory: Some(directory),
             files: Mutex::default(),
         }
     }
 
-    /// Keeps nothing.
+    /// Creates outcomes that are never stored.
     pub fn nowhere() -> Self {
         Self {
             directory: None,
@@ -48,7 +60,7 @@ impl Outcomes {
         }
     }
 
-    /// Number of outcomes of a tile.
+    /// Returns the number of stored outcomes of a tile.
     pub fn count(&self, tile: Tile) -> u32 {
         let Some(path) = self.path(tile) else {
             return 0;
@@ -61,69 +73,74 @@ impl Outcomes {
         count
     }
 
-    /// Stores the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
-    /// behind it. Returns true if the outcome is stored now; a full disk returns false.
-    pub fn push(&self, tile: Tile, phase: u32, bytes: &[u8]) -> bool {
+    /// Stores the outcome of a tile's next phase or of an earlier phase. Returns true if it is stored.
+    ///
+    /// A different outcome of an earlier phase replaces the stored one and removes the outcomes of later
+    /// phases. If the disk is full, the function returns false.
+    pub fn push(&self, tile: Tile, phase: PhaseIndex, bytes: &[u8]) -> bool {
         self.push_from(
             tile,
             phase,
-            (bytes.len() as u64, blake3::hash(bytes)),
+            OutcomeHeader {
+                length: bytes.len() as u64,
+                hash: blake3::hash(bytes),
+            },
             &mut &*bytes,
         )
     }
 
-    /// Stores an outcome as [`Outcomes::push`] does, from a reader of bytes with this length and this hash.
+    /// Stores an outcome as [`Outcomes::push`] does, from a reader of bytes with this length and hash.
     pub fn push_from(
         &self,
         tile: Tile,
-        phase: u32,
-        of: (u64, blake3::Hash),
+        phase: PhaseIndex,
+        header: OutcomeHeader,
         bytes: &mut dyn Read,
     ) -> bool {
-        if phase < self.count(tile) && self.is_stored(tile, phase, of) {
+        if phase.0 < self.count(tile) && self.is_stored(tile, phase, header) {
             return true;
         }
-        let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else {
+        let Some(path) = self.path(tile) else {
             return false;
         };
         let file = self.file(tile);
-        let kept = append(&mut lock(&file), tile, (directory, &path), phase, of, bytes);
+        let kept = append(&mut lock(&file), tile, &path, phase, header, bytes);
         if !kept {
             self.let_go(tile, &file);
         }
         kept
     }
 
-    /// Opens an outcome of a tile, whose hash was checked; `None` when it is not there or damaged.
-    pub fn open(&self, tile: Tile, phase: u32) -> Option<(u64, Take<File>)> {
+    /// Opens an outcome of a tile and checks its hash. Returns `None` if it is missing or damaged.
+    pub fn open(&self, tile: Tile, phase: PhaseIndex) -> Option<(u64, Take<File>)> {
         let mut file = self.at(tile, phase)?;
-        let (length, hash) = header(&mut file)?;
+        let header = read_header(&mut file)?;
         let start = file.stream_position().ok()?;
-        if !is_whole(&mut file, length, hash) {
+        if !is_whole(&mut file, header) {
             return None;
         }
         file.seek(SeekFrom::Start(start)).ok()?;
-        Some((length, file.take(length)))
+        Some((header.length, file.take(header.length)))
     }
 
-    /// Returns true if a stored outcome has this length and this hash.
-    fn is_stored(&self, tile: Tile, phase: u32, of: (u64, blake3::Hash)) -> bool {
+    /// Returns true if the stored outcome of a phase has this length and hash.
+    fn is_stored(&self, tile: Tile, phase: PhaseIndex, header: OutcomeHeader) -> bool {
         let Some(mut file) = self.at(tile, phase) else {
             return false;
         };
-        header(&mut file) == Some(of) && is_whole(&mut file, of.0, of.1)
+        read_header(&mut file) == Some(header) && is_whole(&mut file, header)
     }
 
-    /// Opens the file of a tile where the frame of a phase begins.
-    fn at(&self, tile: Tile, phase: u32) -> Option<File> {
-        if phase >= self.count(tile) {
+    /// Opens the file of a tile at the beginning of a phase's frame.
+    fn at(&self, tile: Tile, phase: PhaseIndex) -> Option<File> {
+        if phase.0 >= self.count(tile) {
             return None;
         }
-        let start = match phase {
+        let start = match phase.at() {
             0 => 0,
-            _ => {
+            at => {
                 let file = lock(&self.files).get(&tile).cloned()?;
-                *lock(&file).as_ref()?.get(phase as usize - 1)?
+                *lock(&file).as_ref()?.get(at - 1)?
             }
         };
         let mut file = File::open(self.path(tile)?).ok()?;
@@ -131,9 +148,9 @@ impl Outcomes {
         Some(file)
     }
 
-    /// Forgets the outcomes of a tile.
+    /// Removes the outcomes of a tile.
     pub fn remove(&self, tile: Tile) {
-        // A crew that is at it finds the file gone and keeps nothing more.
+        // A crew that still uses the tile finds no file and stores no further outcomes.
         let file = lock(&self.files).remove(&tile);
         let mut ends = file.as_deref().map(lock);
         ends.iter_mut().for_each(|ends| **ends = None);
@@ -145,12 +162,12 @@ impl Outcomes {
         }
     }
 
-    /// Forgets the outcomes of all jobs for which `is_needed` says no.
+    /// Removes the outcomes of all jobs for which `is_needed` returns false.
     pub fn sweep(&self, is_needed: impl Fn(JobId) -> bool) {
         let Some(directory) = &self.directory else {
             return;
         };
-        // There is no directory before the first outcome.
+        // The directory does not exist before the first outcome.
         let Ok(entries) = std::fs::read_dir(directory) else {
             return;
         };
@@ -166,10 +183,10 @@ impl Outcomes {
         }
     }
 
-    /// Keeps nothing in memory of a tile without outcomes that nobody else is at: tiles come and go.
+    /// Evicts a tile without outcomes from the map unless another thread holds its entry.
     fn let_go(&self, tile: Tile, file: &Arc<Mutex<Ends>>) {
         let mut files = lock(&self.files);
-        // The list's and the caller's. Others can come to it by the list alone.
+        // The map and the caller hold the two references. Other threads can get one only through the map.
         if Arc::strong_count(file) == 2 && lock(file).as_ref().is_none_or(Vec::is_empty) {
             files.remove(&tile);
         }
@@ -179,41 +196,47 @@ impl Outcomes {
         Arc::clone(lock(&self.files).entry(tile).or_default())
     }
 
-    fn path(&self, (job, tile): Tile) -> Option<PathBuf> {
+    fn path(&self, tile: Tile) -> Option<PathBuf> {
+        let (job, index) = tile;
         self.directory
             .as_ref()
-            .map(|d| d.join(format!("{job}.{tile}")))
+            .map(|d| d.join(format!("{job}.{index}")))
     }
 }
 
-/// Puts an outcome into the file of a tile, behind that of the phase before; returns whether it is there now.
+/// Appends an outcome to a tile's file after the outcome of the preceding phase. Returns true if the outcome
+/// is stored.
 fn append(
     ends: &mut Ends,
     tile: Tile,
-    (directory, path): (&Path, &Path),
-    phase: u32,
-    (length, hash): (u64, blake3::Hash),
+    path: &Path,
+    phase: PhaseIndex,
+    header: OutcomeHeader,
     bytes: &mut dyn Read,
 ) -> bool {
+    let OutcomeHeader { length, hash } = header;
     let ends = read(ends, path);
-    if phase as usize > ends.len() || length > MAX_OUTCOME_BYTES {
+    if phase.at() > ends.len() || length > MAX_OUTCOME_BYTES {
         return false;
     }
-    ends.truncate(phase as usize);
+    ends.truncate(phase.at());
     let start = ends.last().copied().unwrap_or(0);
-    let written = std::fs::create_dir_all(directory).and_then(|()| {
-        let mut file = OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)?;
-        // Behind the last whole frame there may be a part of one.
-        file.set_len(start)?;
-        file.seek(SeekFrom::Start(start))?;
-        file.write_all(&length.to_le_bytes())?;
-        file.write_all(hash.as_bytes())?;
-        std::io::copy(&mut bytes.take(length), &mut file)
-    });
+    let written = path
+        .parent()
+        .map_or(Ok(()), std::fs::create_dir_all)
+        .and_then(|()| {
+            let mut file = OpenOptions::new()
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .open(path)?;
+            // An unfinished frame may follow the last complete frame.
+            file.set_len(start)?;
+            file.seek(SeekFrom::Start(start))?;
+            file.write_all(&length.to_le_bytes())?;
+            file.write_all(hash.as_bytes())?;
+            std::io::copy(&mut bytes.take(length), &mut file)
+        });
     match written {
         Ok(written) if written == length => {
             ends.push(start + HEADER + length);
@@ -221,7 +244,7 @@ fn append(
         }
         Ok(written) => {
             tracing::warn!(
-                "phase {phase} of tile {} of job {} ended after {written} bytes",
+                "the outcome of phase {phase} of tile {} of job {} ended after {written} bytes",
                 tile.1,
                 tile.0
             );
@@ -229,7 +252,7 @@ fn append(
         }
         Err(e) => {
             tracing::warn!(
-                "phase {phase} of tile {} of job {} is not kept: {e}",
+                "the outcome of phase {phase} of tile {} of job {} cannot be stored: {e}",
                 tile.1,
                 tile.0
             );
@@ -238,39 +261,43 @@ fn append(
     }
 }
 
-/// Where the frames of a file end, which is read the first time.
+/// Returns the ends of a file's frames. The first call reads the file.
 fn read<'a>(ends: &'a mut Ends, path: &Path) -> &'a mut Vec<u64> {
     ends.get_or_insert_with(|| File::open(path).map_or_else(|_| Vec::new(), whole_frames))
 }
 
-/// Locks something whose changes are whole before anything can panic.
+/// Locks a mutex, even after a panic: changes under the locks are complete before any code can panic.
 fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Reads the length and the hash of the frame that begins at the position of a file.
-fn header(file: &mut File) -> Option<(u64, blake3::Hash)> {
+fn read_header(file: &mut File) -> Option<OutcomeHeader> {
     let (mut length, mut hash) = ([0; 8], [0; 32]);
     file.read_exact(&mut length).ok()?;
     file.read_exact(&mut hash).ok()?;
     let length = u64::from_le_bytes(length);
-    (length <= MAX_OUTCOME_BYTES).then(|| (length, blake3::Hash::from_bytes(hash)))
+    (length <= MAX_OUTCOME_BYTES).then(|| OutcomeHeader {
+        length,
+        hash: blake3::Hash::from_bytes(hash),
+    })
 }
 
-/// Reads the bytes of a frame, one buffer at a time, and returns true if they have this length and this hash.
-fn is_whole(file: &mut File, length: u64, hash: blake3::Hash) -> bool {
+/// Reads the bytes of a frame, buffer by buffer. Returns true if they have this length and hash.
+fn is_whole(file: &mut File, header: OutcomeHeader) -> bool {
+    let OutcomeHeader { length, hash } = header;
     let mut hasher = blake3::Hasher::new();
     let read = hasher.update_reader(file.take(length));
     read.is_ok() && hasher.count() == length && hasher.finalize() == hash
 }
 
-/// The ends of the whole frames at the beginning of a file.
+/// Returns the ends of the complete frames at the beginning of a file.
 fn whole_frames(mut file: File) -> Vec<u64> {
     let (mut ends, mut end) = (Vec::new(), 0);
-    while let Some((length, hash)) = header(&mut file)
-        && is_whole(&mut file, length, hash)
+    while let Some(header) = read_header(&mut file)
+        && is_whole(&mut file, header)
     {
-        end += HEADER + length;
+        end += HEADER + header.length;
         ends.push(end);
     }
     ends
@@ -284,7 +311,7 @@ mod tests {
 
     impl Outcomes {
         /// Reads an outcome.
-        fn get(&self, tile: Tile, phase: u32) -> Option<Vec<u8>> {
+        fn get(&self, tile: Tile, phase: PhaseIndex) -> Option<Vec<u8>> {
             let (length, mut from) = self.open(tile, phase)?;
             let mut bytes = Vec::new();
             from.read_to_end(&mut bytes).unwrap();
@@ -294,21 +321,24 @@ mod tests {
     }
 
     #[test]
-    fn outcomes_are_there_again_up_to_the_first_damaged_one() {
+    fn outcomes_are_restored_up_to_first_damaged_one() {
         let directory = tempfile::tempdir().unwrap();
-        let open = || Outcomes::of(directory.path().join("crews"));
+        let open = || Outcomes::in_directory(directory.path().join("crews"));
         let outcomes = open();
         assert_eq!(outcomes.count(TILE), 0);
-        assert!(!outcomes.push(TILE, 1, b"not the next one"));
-        assert!(outcomes.push(TILE, 0, b"wrong") && outcomes.push(TILE, 1, b"behind it"));
-        assert!(outcomes.push(TILE, 0, b"first"));
+        assert!(!outcomes.push(TILE, PhaseIndex(1), b"not the next one"));
+        assert!(
+            outcomes.push(TILE, PhaseIndex(0), b"wrong")
+                && outcomes.push(TILE, PhaseIndex(1), b"behind it")
+        );
+        assert!(outcomes.push(TILE, PhaseIndex(0), b"first"));
         assert_eq!(outcomes.count(TILE), 1);
         assert!(
-            outcomes.push(TILE, 1, b"")
-                && outcomes.push(TILE, 1, b"")
-                && outcomes.push(TILE, 0, b"first")
+            outcomes.push(TILE, PhaseIndex(1), b"")
+                && outcomes.push(TILE, PhaseIndex(1), b"")
+                && outcomes.push(TILE, PhaseIndex(0), b"first")
         );
-        assert!(outcomes.push(TILE, 2, b"third"));
+        assert!(outcomes.push(TILE, PhaseIndex(2), b"third"));
         let path = directory.path().join("crews").join("3.7");
         let all = std::fs::read(&path).unwrap();
         for kept in 0..=all.len() {
@@ -319,29 +349,32 @@ mod tests {
             let expected = [&b"first"[..], b"", b"third"];
             for phase in 0..4 {
                 let here = (phase < whole).then(|| expected[phase as usize].to_vec());
-                assert_eq!(again.get(TILE, phase), here);
+                assert_eq!(again.get(TILE, PhaseIndex(phase)), here);
             }
-            assert!(again.push(TILE, whole, b"next"));
-            assert_eq!(open().get(TILE, whole).as_deref(), Some(&b"next"[..]));
+            assert!(again.push(TILE, PhaseIndex(whole), b"next"));
+            assert_eq!(
+                open().get(TILE, PhaseIndex(whole)).as_deref(),
+                Some(&b"next"[..])
+            );
         }
         std::fs::write(&path, &all).unwrap();
         let mut damaged = all.clone();
         damaged[60] ^= 1;
         std::fs::write(&path, &damaged).unwrap();
         assert_eq!(open().count(TILE), 1);
-        // A length that nothing can have is no reason to allocate.
+        // A length above the maximum must not cause an allocation.
         damaged[..8].fill(0xff);
         std::fs::write(&path, &damaged).unwrap();
         assert_eq!(open().count(TILE), 0);
     }
 
     #[test]
-    fn what_no_job_needs_is_removed() {
+    fn sweep_removes_outcomes_of_unneeded_jobs() {
         let directory = tempfile::tempdir().unwrap();
-        let outcomes = Outcomes::of(directory.path().to_owned());
+        let outcomes = Outcomes::in_directory(directory.path().to_owned());
         outcomes.sweep(|_| false);
         for job in 1..4 {
-            assert!(outcomes.push((JobId(job), TileIndex(0)), 0, b"x"));
+            assert!(outcomes.push((JobId(job), TileIndex(0)), PhaseIndex(0), b"x"));
         }
         std::fs::write(directory.path().join("a note of a person"), b"stays").unwrap();
         outcomes.sweep(|job| job == JobId(2));
@@ -353,10 +386,13 @@ mod tests {
         assert_eq!(left, ["2.0", "a note of a person"]);
         outcomes.remove((JobId(2), TileIndex(0)));
         assert_eq!(outcomes.count((JobId(2), TileIndex(0))), 0);
-        // Tiles without outcomes leave nothing in memory.
-        assert!(!outcomes.push(TILE, 1, b"not the next one"));
-        assert_eq!((outcomes.count(TILE), outcomes.get(TILE, 0)), (0, None));
+        // Tiles without outcomes use no memory.
+        assert!(!outcomes.push(TILE, PhaseIndex(1), b"not the next one"));
+        assert_eq!(
+            (outcomes.count(TILE), outcomes.get(TILE, PhaseIndex(0))),
+            (0, None)
+        );
         assert!(lock(&outcomes.files).is_empty());
-        assert!(!Outcomes::nowhere().push(TILE, 0, b"x"));
+        assert!(!Outcomes::nowhere().push(TILE, PhaseIndex(0), b"x"));
     }
 }

@@ -1,19 +1,19 @@
-//! Places in a journal, and the numbers that a store has given out up to there.
+//! Positions in a journal, and the numbers that a store has assigned up to a position.
 
-/// The numbers that the store has given out, for the watermark: a repair must not give them out again.
+/// The numbers that the store has assigned. The watermark records them, so that a repair never reuses them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Numbers {
     /// The number of the next job.
     pub(super) next_job: u64,
-    /// The epoch begun last.
+    /// The epoch that began last.
     pub(super) epoch: u64,
 }
 
-/// A place in a journal: the end of a frame, or of the header.
+/// A position in a journal: the end of a frame or of the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct JournalPosition {
     /// The offset in bytes.
     pub(super) offset: u64,
-    /// The running checksum of everything before.
+    /// The running checksum of all frames before the position.
     pub(super) chain: u64,
 }

@@ -1,9 +1,9 @@
 //! Schedules of the store and the blobs on a disk that loses power, fails and fills up. A schedule is a
 //! function of its seed.
 //!
-//! Whatever was acknowledged exists after each restart, and no number is given out again. Where the disk
-//! itself misplaces writes, an acknowledged change may be lost, but then the start of the store fails, and
-//! reading the blob reports the damage.
+//! Every acknowledged change exists after each restart, and no number is assigned twice. If the disk
+//! misplaces a write, an acknowledged change may be lost. The start of the store then fails, or reading the
+//! blob reports the damage.
 
 use std::collections::BTreeMap;
 
@@ -22,11 +22,11 @@ const TILES: u32 = 6;
 struct World {
     random: SplitMix64,
     disk: FailingDisk,
-    /// Acknowledged jobs and their keys.
+    /// The acknowledged jobs and their keys.
     jobs: BTreeMap<u64, Digest>,
-    /// Acknowledged outputs, and the bytes of their blobs.
+    /// The acknowledged outputs, and the bytes of their blobs.
     outputs: BTreeMap<(u64, u32), Vec<u8>>,
-    /// The highest number that a store has given out, acknowledged or not.
+    /// The highest job number that a store has assigned, acknowledged or not.
     highest: u64,
     next_key: u64,
 }
@@ -51,7 +51,8 @@ impl World {
         self.random.bits() % n.max(1)
     }
 
-    /// Starts the store and the blobs, and checks that all acknowledged changes exist.
+    /// Opens the store and the blobs, and checks that all acknowledged changes exist, apart from changes that
+    /// a repair reports as lost. Then enables faults of the disk.
     fn start(&mut self) -> Result<(), String> {
         if let Some(loss) = self.disk.open()? {
             self.forget_lost(&loss)?;
@@ -61,7 +62,7 @@ impl World {
         Ok(())
     }
 
-    /// Takes the loss of a repair into account; a job that is gone without being named is an error.
+    /// Removes the jobs that a repair lost. Returns an error for a lost job that the repair did not report.
     fn forget_lost(&mut self, loss: &Loss) -> Result<(), String> {
         let Some((store, _)) = self.disk.get() else {
             return Ok(());
@@ -72,11 +73,11 @@ impl World {
                     return Err(format!("job {job} is lost and not named: {loss:?}"));
                 }
                 self.jobs.remove(&job);
-                self.outputs.retain(|(of, _), _| *of != job);
+                self.outputs.retain(|(owner, _), _| *owner != job);
             }
         }
         if loss.is_unmeasured {
-            // Neither the journal's header nor a watermark is left, so that the numbers are unknown.
+            // Neither the journal's header nor a watermark survived, so the assigned numbers are unknown.
             self.highest = store
                 .jobs()
                 .map_err(|e| e.to_string())?
@@ -227,7 +228,7 @@ impl World {
             | Err(StoreError::Journal(JournalError::NoSpace { .. } | JournalError::Write { .. })) => {
                 true
             }
-            // The disk's state is unknown: only a restart helps.
+            // The state of the disk is unknown, so only a restart helps.
             Err(StoreError::Journal(JournalError::Unusable { .. })) => false,
             Err(e) => return Err(format!("a command failed otherwise: {e}")),
         })

@@ -1,9 +1,10 @@
-//! Directories that other users of the machine cannot look into.
+//! Directories that other users of the machine cannot read.
 
 use std::path::Path;
 
-/// Creates a directory, and those above it that are missing, for their owner only: mode 0700. A directory
-/// that exists stays as it is.
+/// Creates a directory and its missing parents for their owner only (mode 0700).
+///
+/// An existing directory keeps its mode.
 pub(crate) fn create_private(directory: &Path) -> std::io::Result<()> {
     let mut builder = std::fs::DirBuilder::new();
     builder.recursive(true);
@@ -39,7 +40,7 @@ mod tests {
         ] {
             assert_eq!(mode(path), 0o700, "{}", path.display());
         }
-        // A directory that a person has made keeps its mode.
+        // A directory that a user created keeps its mode.
         std::fs::set_permissions(&own, std::fs::Permissions::from_mode(0o750)).unwrap();
         drop(OwnDirectory::take(&own).unwrap());
         assert_eq!(mode(&own), 0o750);

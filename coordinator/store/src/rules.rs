@@ -1,8 +1,9 @@
-//! The rules: the event that each command causes in a given state, and the changes that each event makes.
+//! The rules of the commands: the event of each command in a given state, and the changes of each event.
 //!
-//! Deciding reads and never writes; an event holds everything its application needs, so replaying the journal
-//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format.
-//! Add variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
+//! Decisions only read. An event contains all data that its application needs, so replaying the journal uses
+//! no rule except [`changes`]. The journal stores events, so their names and fields here are its format. New
+//! variants and `#[serde(default)]` fields are compatible; changing an existing one needs a new journal
+//! version.
 
 use serde::{Deserialize, Serialize};
 use sightline_records::ids::{Digest, JobId, TileIndex};
@@ -19,22 +20,22 @@ use super::entries::Entry;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::limits::{check_identifier, check_length, check_name, clean_reason};
-use super::table::{Bytes, Changes, Over, Table, View, encode, key};
+use super::table::{Bytes, ChangedTable, Changes, Table, View, encode, key};
 
 /// A change of the state, as the journal records it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Event {
+pub(super) enum StateChange {
     /// A scene was recorded.
     SceneRecorded(SceneRecord),
     /// A job was submitted under the next id.
     JobSubmitted(JobRecord),
     /// A submission was answered with an existing job.
     RequestJoined { request_id: String, job: JobId },
-    /// A job changed: planned, bound to a profile, moved to another state.
+    /// A job changed: it was planned, bound to a profile, or moved to another state.
     JobChanged(JobRecord),
-    /// A tile changed: done, failed once more, set aside, a conflict counted.
+    /// A tile changed: it was done, failed once more or set aside, or a conflict was counted.
     TileChanged { job: JobId, tile: TileRecord },
-    /// Tiles were reopened for another try, and the job with them.
+    /// Tiles were reopened for another attempt, together with their job.
     TilesReopened {
         job: JobRecord,
         tiles: Vec<TileIndex>,
@@ -43,9 +44,9 @@ pub(super) enum Event {
     EpochBegun(u64),
     /// A job was removed.
     JobDeleted { job: JobId },
-    /// A worker gets no tiles any more.
+    /// A worker was quarantined and gets no tiles.
     Quarantined(QuarantineRecord),
-    /// A worker gets tiles again.
+    /// The quarantine of a worker ended.
     Released { worker: String },
     /// The clocks of retention were recorded.
     RetentionStamped(RetentionStamp),
@@ -56,14 +57,15 @@ pub(super) enum Event {
     },
     /// The store received its identity.
     Identified(StoreIdentity),
-    /// Entries of another store, or of this one before its journal was compacted: keys in hexadecimal
-    /// digits, and values as base64.
+    /// Entries of another store were imported, or entries of this store before its journal was compacted.
+    /// Keys are hexadecimal digits, and values are base64.
     Imported { entries: Vec<(String, String)> },
 }
 
-/// The decision on a command: its event, if it changes anything, and the answer once the event is durable.
+/// A decision on a command: the event, if there is a change, and the answer. The answer is sent once the
+/// event is durable.
 pub(super) struct Decision<A> {
-    pub(super) event: Option<Event>,
+    pub(super) event: Option<StateChange>,
     pub(super) answer: A,
 }
 
@@ -76,25 +78,25 @@ pub(super) fn unchanged<A>(answer: A) -> Decided<A> {
     })
 }
 
-pub(super) fn happened<A>(event: Event, answer: A) -> Decided<A> {
+pub(super) fn happened<A>(event: StateChange, answer: A) -> Decided<A> {
     Ok(Decision {
         event: Some(event),
         answer,
     })
 }
 
-/// The changes that an event makes to a table.
-pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, StoreError> {
+/// Returns the changes that an event makes to a table.
+pub(super) fn changes(event: &StateChange, table: &dyn Table) -> Result<Changes, StoreError> {
     let view = View(table);
     let mut changes = Changes::new();
     let mut put = |key: Bytes, value: Bytes| changes.insert(key, Some(value));
     match event {
-        Event::SceneRecorded(scene) => {
+        StateChange::SceneRecorded(scene) => {
             let key = key::scene(&scene.digest);
             let value = encode(&key, scene)?;
             put(key, value);
         }
-        Event::JobSubmitted(job) => {
+        StateChange::JobSubmitted(job) => {
             let key = key::job(job.id);
             let value = encode(&key, job)?;
             put(key, value);
@@ -111,22 +113,22 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
                 put(key, value);
             }
         }
-        Event::RequestJoined { request_id, job } => {
+        StateChange::RequestJoined { request_id, job } => {
             let key = key::request(request_id);
             let value = encode(&key, job)?;
             put(key, value);
         }
-        Event::JobChanged(job) => {
+        StateChange::JobChanged(job) => {
             let key = key::job(job.id);
             let value = encode(&key, job)?;
             put(key, value);
         }
-        Event::TileChanged { job, tile } => {
+        StateChange::TileChanged { job, tile } => {
             let key = key::tile(*job, tile.tile);
             let value = encode(&key, tile)?;
             put(key, value);
         }
-        Event::TilesReopened { job, tiles } => {
+        StateChange::TilesReopened { job, tiles } => {
             for &tile in tiles {
                 changes.insert(key::tile(job.id, tile), None);
             }
@@ -134,36 +136,36 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let value = encode(&key, job)?;
             changes.insert(key, Some(value));
         }
-        Event::Quarantined(record) => {
+        StateChange::Quarantined(record) => {
             let key = key::quarantined(&record.worker);
             let value = encode(&key, record)?;
             put(key, value);
         }
-        Event::RetentionStamped(stamp) => {
+        StateChange::RetentionStamped(stamp) => {
             put(
                 key::RETENTION_STAMP.to_vec(),
                 encode(key::RETENTION_STAMP, stamp)?,
             );
         }
-        Event::SceneDeleted { scene } => {
+        StateChange::SceneDeleted { scene } => {
             changes.insert(key::scene(scene), None);
         }
-        Event::Imported { entries } => {
-            for entry in entries {
-                let (key, value) = Entry::read(entry)?;
+        StateChange::Imported { entries } => {
+            for (key, text) in entries {
+                let (key, value) = Entry::read(key, text)?;
                 changes.insert(key, Some(value));
             }
         }
-        Event::Released { worker } => {
+        StateChange::Released { worker } => {
             changes.insert(key::quarantined(worker), None);
         }
-        Event::Identified(identity) => {
+        StateChange::Identified(identity) => {
             put(key::IDENTITY.to_vec(), encode(key::IDENTITY, identity)?);
         }
-        Event::EpochBegun(epoch) => {
+        StateChange::EpochBegun(epoch) => {
             put(key::EPOCH.to_vec(), encode(key::EPOCH, epoch)?);
         }
-        Event::JobDeleted { job } => {
+        StateChange::JobDeleted { job } => {
             let record = view.known_job(*job)?;
             changes.insert(key::job(*job), None);
             changes.insert(key::job_of_key(&record.key, *job), None);
@@ -179,22 +181,22 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
 }
 
 /// Decodes the events of a frame of the journal that ends at `before`.
-pub(super) fn events(payload: &[u8], before: u64) -> Result<Vec<Event>, StoreError> {
+pub(super) fn events(payload: &[u8], before: u64) -> Result<Vec<StateChange>, StoreError> {
     serde_json::from_slice(payload).map_err(|e| StoreError::Unreadable {
         before,
         what: e.to_string(),
     })
 }
 
-/// Adds the changes of an event, which happens after those in `staged`, to `staged`.
+/// Adds the changes of an event to `staged`. The event happens after the changes in `staged`.
 pub(super) fn stage(
-    event: &Event,
+    event: &StateChange,
     table: &dyn Table,
     staged: &mut Changes,
 ) -> Result<(), StoreError> {
     let new = changes(
         event,
-        &Over {
+        &ChangedTable {
             under: table,
             changes: staged,
         },
@@ -205,8 +207,8 @@ pub(super) fn stage(
 
 pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
     match view.scene(&scene.digest)? {
-        None => happened(Event::SceneRecorded(scene), ()),
-        // Another user has sent it.
+        None => happened(StateChange::SceneRecorded(scene), ()),
+        // Another user has uploaded the same scene.
         Some(mut known)
             if (SceneRecord {
                 owners: scene.owners.clone(),
@@ -218,12 +220,13 @@ pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
             check_length(
                 "the list of a scene's owners",
                 known.owners.len(),
+                "users",
                 MAX_OWNERS,
             )?;
             if known.owners.len() == before {
                 unchanged(())
             } else {
-                happened(Event::SceneRecorded(known), ())
+                happened(StateChange::SceneRecorded(known), ())
             }
         }
         Some(_) => Err(StoreError::SceneDiffers {
@@ -242,8 +245,13 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     };
     check_name("the user's name", &new.user, most)?;
     check_identifier("the owner's name", &new.owner, MAX_OWNER_BYTES)?;
-    check_length("the job's specification", new.spec.len(), MAX_SPEC_BYTES)?;
-    check_length("the plan", new.tiles as usize, MAX_TILES as usize)?;
+    check_length(
+        "the job's specification",
+        new.spec.len(),
+        "bytes",
+        MAX_SPEC_BYTES,
+    )?;
+    check_length("the plan", new.tiles as usize, "tiles", MAX_TILES as usize)?;
     if let Some(known) = view.job_by_request(&new.request_id)? {
         if known.key != new.key {
             return Err(StoreError::RequestIdReused {
@@ -267,7 +275,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
             return unchanged(answer);
         }
         return happened(
-            Event::RequestJoined {
+            StateChange::RequestJoined {
                 request_id: new.request_id,
                 job: same.id,
             },
@@ -298,7 +306,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
         id: job.id,
         existing: false,
     };
-    happened(Event::JobSubmitted(job), answer)
+    happened(StateChange::JobSubmitted(job), answer)
 }
 
 pub(super) fn prioritize_job(view: View<'_>, job: JobId, priority: i32) -> Decided<JobRecord> {
@@ -310,11 +318,11 @@ pub(super) fn prioritize_job(view: View<'_>, job: JobId, priority: i32) -> Decid
         return unchanged(record);
     }
     record.priority = priority;
-    happened(Event::JobChanged(record.clone()), record)
+    happened(StateChange::JobChanged(record.clone()), record)
 }
 
 pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRecord> {
-    check_length("the plan", tiles as usize, MAX_TILES as usize)?;
+    check_length("the plan", tiles as usize, "tiles", MAX_TILES as usize)?;
     let mut record = view.known_job(job)?;
     if record.tiles == tiles {
         return unchanged(record);
@@ -330,7 +338,7 @@ pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRec
         return Err(illegal(job, record.state.phase(), "planned"));
     }
     record.tiles = tiles;
-    happened(Event::JobChanged(record.clone()), record)
+    happened(StateChange::JobChanged(record.clone()), record)
 }
 
 pub(super) fn bind_profile(view: View<'_>, job: JobId, profile: String) -> Decided<String> {
@@ -340,7 +348,7 @@ pub(super) fn bind_profile(view: View<'_>, job: JobId, profile: String) -> Decid
         return unchanged(bound);
     }
     record.profile = Some(profile.clone());
-    happened(Event::JobChanged(record), profile)
+    happened(StateChange::JobChanged(record), profile)
 }
 
 pub(super) fn commit_tile(
@@ -357,6 +365,7 @@ pub(super) fn commit_tile(
     check_length(
         "the list of helpers",
         result.stats.helpers.len(),
+        "workers",
         MAX_HELPERS,
     )?;
     for helper in &result.stats.helpers {
@@ -372,7 +381,7 @@ pub(super) fn commit_tile(
             kept,
             offered: result.digest,
         };
-        return happened(Event::TileChanged { job, tile: found }, answer);
+        return happened(StateChange::TileChanged { job, tile: found }, answer);
     }
     if record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "given results"));
@@ -389,7 +398,7 @@ pub(super) fn commit_tile(
     };
     found.check = None;
     happened(
-        Event::TileChanged { job, tile: found },
+        StateChange::TileChanged { job, tile: found },
         CommitOutcome::Committed,
     )
 }
@@ -403,7 +412,7 @@ pub(super) fn fail_tile(
 ) -> Decided<u32> {
     check_identifier("the worker's name", &worker, MAX_WORKER_BYTES)?;
     let (record, mut found) = view.job_and_tile(job, tile)?;
-    // At most MAX_FAILURES, so this cannot be cut.
+    // The length is at most MAX_FAILURES, so the cast cannot truncate.
     let count = |tile: &TileRecord| tile.failures.len() as u32;
     if found.state != TileState::Open || record.state.phase().ended() {
         return unchanged(count(&found));
@@ -423,10 +432,10 @@ pub(super) fn fail_tile(
         None => return unchanged(count(&found)),
     }
     let answer = count(&found);
-    happened(Event::TileChanged { job, tile: found }, answer)
+    happened(StateChange::TileChanged { job, tile: found }, answer)
 }
 
-/// Records the death of a worker as a failure of a tile, unless a failure of the worker is known.
+/// Records the death of a worker as a failure of a tile, unless a failure is already recorded.
 pub(super) fn count_death(
     view: View<'_>,
     job: JobId,
@@ -436,7 +445,7 @@ pub(super) fn count_death(
 ) -> Decided<u32> {
     let (_, found) = view.job_and_tile(job, tile)?;
     if found.failures.iter().any(|known| known.worker == worker) {
-        // At most MAX_FAILURES, so this cannot be cut.
+        // The length is at most MAX_FAILURES, so the cast cannot truncate.
         return unchanged(found.failures.len() as u32);
     }
     fail_tile(view, job, tile, worker, reason)
@@ -460,7 +469,7 @@ pub(super) fn forget_failure(
     {
         return unchanged(());
     }
-    happened(Event::TileChanged { job, tile: found }, ())
+    happened(StateChange::TileChanged { job, tile: found }, ())
 }
 
 pub(super) fn set_aside_tile(
@@ -490,20 +499,20 @@ pub(super) fn set_aside_tile(
         bytes,
         reasons,
     };
-    happened(Event::TileChanged { job, tile: found }, ())
+    happened(StateChange::TileChanged { job, tile: found }, ())
 }
 
-/// A refused transition.
+/// Creates the error of a rejected transition.
 fn illegal(job: JobId, is: JobPhase, wanted: &'static str) -> StoreError {
     StoreError::IllegalTransition { job, is, wanted }
 }
 
-/// Whether `set_job_state` may lead from one state to the other.
+/// Returns true if `set_job_state` may move a job from `from` to `to`.
 fn may_move(from: JobPhase, to: JobPhase) -> bool {
     use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
     match (from, to) {
         (Queued | Running | Paused, Queued | Running | Paused | Cancelled | Failed) => true,
-        // A cancellation can be undone; a failed job is retried through reopen_tiles, which clears the
+        // A cancellation can be undone. A failed job is retried through reopen_tiles, which removes the
         // failures.
         (Cancelled, Queued) => true,
         (Cancelled | Failed | Done, _) | (_, Done) => false,
@@ -530,7 +539,7 @@ pub(super) fn set_job_state(
     let (is, phase) = (record.state.phase(), to.phase());
     if !from.contains(&is) || !may_move(is, phase) {
         let wanted = match phase {
-            // Only a paused job becomes queued again.
+            // A resumed job becomes queued.
             JobPhase::Queued => "resumed",
             JobPhase::Running => "run",
             JobPhase::Paused => "paused",
@@ -542,7 +551,7 @@ pub(super) fn set_job_state(
     }
     record.state = to;
     record.finished_at_ms = phase.ended().then_some(at_ms);
-    happened(Event::JobChanged(record.clone()), record)
+    happened(StateChange::JobChanged(record.clone()), record)
 }
 
 pub(super) fn finish_job(
@@ -572,7 +581,7 @@ pub(super) fn finish_job(
         .iter()
         .filter(|tile| tile.state != TileState::Open)
         .count();
-    // No more tiles are recorded than the job has (`job_and_tile`), whose number is a u32.
+    // At most as many tiles are recorded as the job has (`job_and_tile`), and that number is a u32.
     let open = record.tiles.saturating_sub(ended as u32);
     if open > 0 {
         return Err(StoreError::TilesOpen {
@@ -583,7 +592,7 @@ pub(super) fn finish_job(
     }
     record.state = JobState::Done { result, bytes };
     record.finished_at_ms = Some(at_ms);
-    happened(Event::JobChanged(record.clone()), record)
+    happened(StateChange::JobChanged(record.clone()), record)
 }
 
 pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
@@ -610,19 +619,19 @@ pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
         record.state = JobState::Queued;
         record.finished_at_ms = None;
     }
-    happened(Event::TilesReopened { job: record, tiles }, set_aside)
+    happened(StateChange::TilesReopened { job: record, tiles }, set_aside)
 }
 
 pub(super) fn stamp_retention(view: View<'_>, stamp: RetentionStamp) -> Decided<()> {
     if view.retention_stamp()? == Some(stamp) {
         return unchanged(());
     }
-    happened(Event::RetentionStamped(stamp), ())
+    happened(StateChange::RetentionStamped(stamp), ())
 }
 
 pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {
     let epoch = view.epoch()?.saturating_add(1);
-    happened(Event::EpochBegun(epoch), epoch)
+    happened(StateChange::EpochBegun(epoch), epoch)
 }
 
 pub(super) fn delete_job(view: View<'_>, job: JobId) -> Decided<JobRecord> {
@@ -630,5 +639,5 @@ pub(super) fn delete_job(view: View<'_>, job: JobId) -> Decided<JobRecord> {
     if !record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "deleted"));
     }
-    happened(Event::JobDeleted { job }, record)
+    happened(StateChange::JobDeleted { job }, record)
 }

@@ -1,10 +1,9 @@
-//! Repair of a damaged journal: the entries that can still be read, and the acknowledged changes that are
-//! lost.
+//! Repair of a damaged journal: the entries that can still be read, and the lost acknowledged changes.
 //!
-//! The view is made from the journal and has its own checksums, so it often holds the changes of a damaged
-//! frame. The salvaged entries come from the good frames before the damage or, if it reaches further, from
-//! the view; in either case with the good frames that continue the chain there. Numbers of jobs and epochs
-//! continue behind every number that a watermark, the view or a readable frame knows.
+//! The view is made from the journal and has its own checksums, so it often contains the changes of a damaged
+//! frame. The salvaged entries come from the good frames before the damage or, if the view contains more,
+//! from the view. In both cases, the good frames that continue the chain from there are added. Numbers of
+//! jobs and epochs continue after the highest numbers in a watermark, the view or a readable frame.
 //!
 //! A repair writes a new journal of these entries and moves the damaged one to `damaged/` in the same folder.
 
@@ -17,27 +16,28 @@ use super::compaction;
 use super::disk::{self, Disk, ZeroUnreadable};
 use super::entries::Entry;
 use super::error::StoreError;
-use super::journal::{self, HEADER_BYTES, Inspected, Numbers, Place};
+use super::journal::{self, HEADER_BYTES, Inspected, JournalPosition, Numbers};
 use super::lock::fault;
-use super::rules::{self, Event};
+use super::rules::{self, StateChange};
 use super::table::{Bytes, Changes, View, encode, key};
 use super::watermark::{self, Watermark};
 
-/// The shortest event of a submission, in bytes: unreadable bytes hold no more jobs than this allows.
+/// The minimum length of a submission event, in bytes. It bounds the number of jobs in unreadable bytes.
 const SUBMISSION_BYTES: u64 = 128;
 
-/// The entries of a view, and the acknowledged part of the journal that they stand for.
+/// The entries of a view, and the acknowledged part of the journal that they contain.
 pub(super) type ViewEntries = (Watermark, BTreeMap<Bytes, Bytes>);
 
 /// The readable state of a journal.
 pub(super) struct Salvage {
-    /// The entries that survive.
+    /// The surviving entries.
     pub(super) entries: BTreeMap<Bytes, Bytes>,
-    /// The damage, if there is any.
+    /// The damage, or `None` if the journal is intact.
     pub(super) damage: Option<Damage>,
-    /// Whether a watermark of the journal could be read. Without one a lost end may look whole.
+    /// True if a watermark of the journal was readable. Without one, a journal with a lost end may look
+    /// complete.
     pub(super) is_marked: bool,
-    /// The numbers with which a repaired store continues.
+    /// The next job number and the epoch with which a repaired store continues.
     numbers: Numbers,
 }
 
@@ -46,9 +46,9 @@ pub(super) struct Salvage {
 pub struct Damage {
     /// The offset of the first bad frame, in bytes.
     pub offset: u64,
-    /// The fault.
+    /// The description of the fault.
     pub what: String,
-    /// The numbers of the jobs that were submitted in the lost part: first and last.
+    /// The numbers of the first and the last job that were submitted in the lost part.
     pub lost_jobs: Option<(JobId, JobId)>,
     /// True if acknowledged changes are lost.
     pub is_loss: bool,
@@ -57,11 +57,11 @@ pub struct Damage {
 }
 
 impl Damage {
-    /// Describes the loss in a sentence.
+    /// Returns a sentence that describes the loss.
     pub fn loss(&self) -> String {
         match self.lost_jobs {
             _ if !self.is_loss && !self.is_unmeasured => {
-                "a repair loses nothing, because the other frames or the view hold these changes".to_owned()
+                "a repair loses nothing, because the other frames or the view have these changes".to_owned()
             }
             _ if self.is_unmeasured => {
                 "no record of the acknowledged length survived, so that jobs may be lost; compare the list \
@@ -79,11 +79,12 @@ impl Damage {
     }
 }
 
-/// Reads the journal at `path` without changing it. `view` holds the entries of the view, if they are intact.
-/// Sectors that cannot be read count as damaged frames.
+/// Reads the journal at `path` without changing it. Unreadable sectors count as damaged frames.
+///
+/// `view` contains the entries of the view, if they are intact.
 ///
 /// # Errors
-/// When the disk fails, or another version has written the journal.
+/// An error if the disk fails, or if another version of the program wrote the journal.
 pub(super) fn read(
     disk: &dyn Disk,
     path: &Path,
@@ -96,7 +97,7 @@ pub(super) fn read(
     let inspected = match disk.attributes(path).map_err(fault("look for", path))? {
         None => Inspected::missing(&marks, seen),
         Some(_) => {
-            let visit = |payload: &[u8], end: Place| apply(payload, end, &mut entries);
+            let visit = |payload: &[u8], end: JournalPosition| apply(payload, end, &mut entries);
             journal::inspect(disk, path, &marks, seen, visit)?
         }
     };
@@ -118,7 +119,8 @@ pub(super) fn read(
             numbers,
         });
     };
-    let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
+    let is_acknowledged =
+        |end: JournalPosition| acknowledged.is_some_and(|mark| mark.place() == end);
     if let Some((mark, of_view)) = view
         && mark.journal == id
         && mark.length > end.offset
@@ -126,21 +128,21 @@ pub(super) fn read(
         (entries, end) = (of_view, mark.place());
         is_met |= is_acknowledged(end);
     }
-    // Frames behind the damage count where they continue the chain; their numbers count in any case.
+    // Frames behind the damage count only if they continue the chain. Their numbers always count.
     let measured = acknowledged.map_or(HEADER_BYTES, |mark| mark.length);
     let (mut submitted, mut begun, mut last, mut unreadable) = (0, 0, HEADER_BYTES, 0);
     if length > 0 {
         journal::scattered_frames(disk, path, HEADER_BYTES, |payload, begins, next| {
             unreadable += begins.offset.saturating_sub(last.max(measured));
             last = next.offset;
-            // A frame of another version stays unread, as the loss states.
+            // A frame of another version stays unread. The reported loss includes it.
             let Ok(events) = rules::events(payload, next.offset) else {
                 return Ok(());
             };
             for event in &events {
                 match event {
-                    Event::JobSubmitted(job) => submitted = submitted.max(job.id.0),
-                    Event::EpochBegun(epoch) => begun = begun.max(*epoch),
+                    StateChange::JobSubmitted(job) => submitted = submitted.max(job.id.0),
+                    StateChange::EpochBegun(epoch) => begun = begun.max(*epoch),
                     _ => {}
                 }
             }
@@ -157,7 +159,7 @@ pub(super) fn read(
     if acknowledged.is_none() {
         unreadable += length.saturating_sub(last);
     }
-    // Bytes behind the watermark hold no more submissions than fit.
+    // Unreadable bytes behind the watermark contain at most this number of submissions.
     let unknown = unreadable / SUBMISSION_BYTES;
     let next_job = own.next_job.max(known.next_job).max(submitted + 1) + unknown;
     let numbers = Numbers {
@@ -188,11 +190,13 @@ pub(super) fn read(
     })
 }
 
-/// Writes a new journal of the salvaged entries in the place of the damaged one, of which a copy stays.
-/// Returns the path of the copy, or `None` if there was no journal.
+/// Replaces a damaged journal by a new one with the salvaged entries, and keeps a copy of the damaged
+/// journal.
+///
+/// Returns the path of the copy, or `None` if the journal did not exist.
 ///
 /// # Errors
-/// When the disk fails. A crash or an error leaves the damaged journal in its place, or the new one.
+/// An error if the disk fails. A crash or an error leaves either the damaged journal or the new one in place.
 pub(super) fn replace(
     disk: &dyn Disk,
     path: &Path,
@@ -221,8 +225,9 @@ pub(super) fn replace(
     Ok(copy)
 }
 
-/// Keeps a damaged journal in the folder `damaged`, for inspection. A link keeps sectors, too, that cannot be
-/// read now.
+/// Keeps a damaged journal in the folder `damaged`, for inspection, and returns its path.
+///
+/// A hard link also preserves sectors that cannot be read now.
 fn keep(disk: &dyn Disk, path: &Path, length: u64) -> Result<PathBuf, StoreError> {
     let state = path.parent().unwrap_or(path);
     let folder = state.join("damaged");
@@ -241,7 +246,7 @@ fn keep(disk: &dyn Disk, path: &Path, length: u64) -> Result<PathBuf, StoreError
     if disk.link(path, &to).is_ok() {
         disk.sync_folder(&folder).map_err(fault("sync", &folder))?;
     } else {
-        // Some file systems have no links.
+        // Some file systems do not support links.
         let bytes =
             disk::read_up_to(&ZeroUnreadable(disk), path, length).map_err(fault("read", path))?;
         disk::replace(disk, &to, &folder.join("unfinished"), &bytes)
@@ -254,7 +259,7 @@ fn keep(disk: &dyn Disk, path: &Path, length: u64) -> Result<PathBuf, StoreError
 /// Applies the events of a frame to the entries.
 fn apply(
     payload: &[u8],
-    end: Place,
+    end: JournalPosition,
     entries: &mut BTreeMap<Bytes, Bytes>,
 ) -> Result<(), StoreError> {
     let mut changes = Changes::new();

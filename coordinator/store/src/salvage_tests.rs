@@ -1,5 +1,5 @@
-//! Damage at every byte of an acknowledged journal: an error that names the loss, and a repair that gives no
-//! number out again.
+//! Tests of damage at every byte of an acknowledged journal. Every damage causes an error that reports the
+//! loss, and a repair never reuses a number.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -18,7 +18,7 @@ use super::*;
 const FOLDER: &str = "/data/state";
 const JOBS: u64 = 20;
 
-/// Damage from one byte of a file on.
+/// A kind of damage that begins at one byte of a file.
 #[derive(Clone, Copy, Debug)]
 enum Harm {
     Flip,
@@ -67,7 +67,7 @@ fn scene() -> SceneRecord {
     }
 }
 
-/// The files of a store of 20 acknowledged jobs, and its view.
+/// The files of a store with 20 acknowledged jobs, and its view.
 struct Acknowledged {
     journal: Vec<u8>,
     mark: Vec<u8>,
@@ -135,7 +135,7 @@ fn check(files: &Acknowledged, harm: Harm, at: usize) {
         harmed,
         "{harm:?} at {at} changed the file"
     );
-    // With the view nothing is lost.
+    // With the view, no change is lost.
     let whole = read(&disk, &path(), Some(files.view.clone())).unwrap();
     let damage = whole.damage.as_ref().unwrap();
     assert!(
@@ -143,7 +143,7 @@ fn check(files: &Acknowledged, harm: Harm, at: usize) {
         "{harm:?} at {at}: {damage:?}"
     );
     assert_eq!(whole.entries, files.view.1, "{harm:?} at {at}");
-    // Without it the jobs that are gone are named.
+    // Without the view, the report names the lost jobs.
     let part = read(&disk, &path(), None).unwrap();
     let damage = part.damage.clone().unwrap();
     let present = jobs(&part.entries);
@@ -161,7 +161,7 @@ fn check(files: &Acknowledged, harm: Harm, at: usize) {
         part.entries != files.view.1,
         "{harm:?} at {at}"
     );
-    // A repair keeps the damaged bytes, and continues behind every number.
+    // A repair keeps the damaged bytes, and continues behind every assigned number.
     let copy = replace(&disk, &path(), part).unwrap().unwrap();
     assert_eq!(read_up_to(&disk, &copy, u64::MAX).unwrap(), harmed);
     let store = SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap();
@@ -203,7 +203,7 @@ fn damage_at_every_byte_loses_no_job_silently() {
 }
 
 #[test]
-fn repair_uses_readable_frames_beside_bad_sector() {
+fn repair_uses_readable_frames_around_bad_sector() {
     let files = acknowledged();
     for at in (0..files.journal.len()).step_by(512) {
         let disk = disk_of(&files.journal, &files.mark);
@@ -308,7 +308,7 @@ fn missing_journal_is_damage_only_if_frames_were_acknowledged() {
     let store = SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap();
     store.record_scene(scene()).unwrap();
     assert_eq!(store.submit_job(job(99)).unwrap().id, JobId(JOBS + 1));
-    // A store that has just been created has nothing to lose.
+    // A store that was just created has no changes to lose.
     let new = SimulatedDisk::new(0);
     disk::create_folder(&new, Path::new(FOLDER)).unwrap();
     assert!(read(&new, &path(), None).unwrap().damage.is_none());
@@ -327,7 +327,7 @@ fn interrupted_repair_can_be_repeated() {
         ] {
             disk::replace(&disk, &path, &path.with_extension("beside"), bytes).unwrap();
         }
-        // Some operation of the repair meets a full disk, and then the power fails.
+        // An operation of the repair meets a full disk, and then the power fails.
         disk.set_room(Some(seed * 700));
         let part = read(&disk, &path(), Some(files.view.clone())).unwrap();
         let done = replace(&disk, &path(), part).is_ok();

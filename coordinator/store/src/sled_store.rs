@@ -1,15 +1,16 @@
-//! The store on one machine's disk: the journal holds the state, and sled is a view of it that answers
-//! queries.
+//! The store on one machine's disk. The journal contains the state, and sled is a view of the journal that
+//! answers queries.
 //!
-//! A command is acknowledged when the journal is synced. sled is changed after that, in one batch with the
-//! offset of the journal that it then contains (`applied`). sled is never synced here: its own `flush` does
-//! not sync the data on Linux, and abrupt stops have damaged it, so nothing depends on its files. At the next
-//! start the journal is replayed from `applied`. A sled that does not open, whose entries do not match their
-//! sum, or that was made from another journal or from a longer one, is moved aside and rebuilt from the
-//! journal.
+//! A command is acknowledged once the journal is synced. sled is changed after that, in one batch with the
+//! offset of the journal that it then contains (`applied`). The store never syncs sled: the `flush` of sled
+//! does not sync the data on Linux, and abrupt stops have damaged its files, so no guarantee depends on them.
+//! At the next start the journal is replayed from `applied`. If sled does not open, if its entries do not
+//! match their sum, or if sled was made from another or a longer journal, the store moves sled aside and
+//! rebuilds it from the journal.
 //!
-//! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
-//! commands that arrive while it syncs share the next sync. Blobs are not kept here.
+//! sled has one tree with values under 4 KiB and without background flushes, because otherwise its space
+//! grows. There is one writer thread: commands that arrive while it syncs share the next sync. Blobs are not
+//! stored in sled.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -31,33 +32,34 @@ use super::lock::{self, fault, lock};
 use super::memory::MemoryStore;
 use super::rules::{self, Decision};
 use super::salvage::{self, Damage, ViewEntries};
-use super::table::{Bytes, Changes, Over, View};
+use super::table::{Bytes, ChangedTable, Changes, View};
 
-/// A group commit takes no more commands once its events are this long; the journal's bound is far above.
+/// Maximum length of a group commit's events, in bytes, before later commands wait for the next group. The
+/// journal's limit is far higher.
 const GROUP_BYTES: usize = 1 << 20;
 
-/// The watermark is synced when no command came for this long.
+/// The time without commands after which the watermark is synced.
 const IDLE: Duration = Duration::from_millis(50);
-/// The watermark is synced after this many commits, even if commands keep coming.
+/// The number of commits after which the watermark is synced, even if further commands arrive.
 const WATERMARK_COMMITS: u32 = 64;
 
 /// The embedded store.
 #[derive(Debug)]
 pub struct SledStore {
     live: Arc<RwLock<Live>>,
-    /// `None` only while being dropped.
+    /// The queue of the writer thread; `None` only during the drop.
     commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
     writer: Option<JoinHandle<()>>,
-    told: Arc<Told>,
-    /// Released last: fields are dropped in order. `None` on a disk of a test.
+    status: Arc<WriterStatus>,
+    /// The lock file; `None` on a disk of a test. Fields are dropped in order, so it is released last.
     lock: Option<File>,
 }
 
 impl SledStore {
-    /// Opens or creates the store in `directory` and brings its view up to date with its journal.
+    /// Opens or creates the store in `directory`, and brings its view up to date with its journal.
     ///
     /// # Errors
-    /// When another process uses the directory, the journal is damaged or missing, or the disk fails.
+    /// An error if another process uses the directory, the journal is damaged or missing, or the disk fails.
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
         let disk: Arc<dyn Disk> = Arc::new(SystemDisk);
         disk::create_folder(&*disk, directory).map_err(fault("create", directory))?;
@@ -66,7 +68,7 @@ impl SledStore {
         if view.exists() && !path.exists() {
             return Err(JournalError::Missing { path }.into());
         }
-        // A new store has its journal first: a view without one stands for lost data.
+        // A new store creates its journal first, so a view without a journal indicates lost data.
         let existing = path
             .exists()
             .then(|| Live::open(&view, Arc::clone(&disk), &path));
@@ -118,7 +120,7 @@ impl SledStore {
             }
             Err(other) => return Err(other),
         };
-        let (journal, live) = compacted(&disk, journal, live, (&path, &view))?;
+        let (journal, live) = compacted(&disk, journal, live, &path, &view)?;
         Self::start(journal, live, Some(IDLE), Some(lock))
     }
 
@@ -141,14 +143,14 @@ impl SledStore {
         journal.acknowledge(View(&live).numbers()?)?;
         let live = Arc::new(RwLock::new(live));
         let (commands, incoming) = channel();
-        let told = Arc::<Told>::default();
-        let (writer_view, writer_told) = (Arc::clone(&live), Arc::clone(&told));
+        let status = Arc::<WriterStatus>::default();
+        let (writer_view, writer_status) = (Arc::clone(&live), Arc::clone(&status));
         let writer = SledWriter {
             journal,
             idle,
             since_sync: 0,
             live: writer_view,
-            told: writer_told,
+            status: writer_status,
         };
         let writer = std::thread::Builder::new()
             .name("store-writer".to_owned())
@@ -160,7 +162,7 @@ impl SledStore {
             live,
             commands: Mutex::new(Some(commands)),
             writer: Some(writer),
-            told,
+            status,
             lock,
         })
     }
@@ -168,7 +170,7 @@ impl SledStore {
 
 #[cfg(test)]
 impl SledStore {
-    /// Does what a refused change does: the view goes on in memory.
+    /// Simulates a change that sled rejects: moves the view into memory.
     pub(super) fn refuse_changes(&self) {
         self.live
             .write()
@@ -176,7 +178,7 @@ impl SledStore {
             .refuse_changes();
     }
 
-    /// Does what sled does on a full disk.
+    /// Simulates sled on a full disk.
     pub(super) fn get_stuck(&self) {
         self.live
             .write()
@@ -188,17 +190,17 @@ impl SledStore {
 /// The lengths of a journal before and after it was compacted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Compacted {
-    /// Bytes before.
+    /// The length before the compaction, in bytes.
     pub from: u64,
-    /// Bytes after.
+    /// The length after the compaction, in bytes.
     pub to: u64,
 }
 
 impl SledStore {
-    /// Compacts the journal of the store in `directory`, which nobody uses.
+    /// Compacts the journal of the store in `directory`, which no other process may use.
     ///
     /// # Errors
-    /// As [`SledStore::open`]; and when there is no store.
+    /// The errors of [`SledStore::open`], and an error if the store does not exist.
     pub fn compact(directory: &Path) -> Result<Compacted, StoreError> {
         let path = directory.join("journal");
         if !path.exists() {
@@ -209,7 +211,7 @@ impl SledStore {
         let from = std::fs::metadata(&path)
             .map_err(fault("measure", &path))?
             .len();
-        // The lock stays; the view and the writer go.
+        // The lock is kept; the view and the writer thread end.
         let lock = store.lock.as_ref().map(File::try_clone).transpose();
         let lock = lock.map_err(fault("keep the lock of", directory))?;
         drop(store);
@@ -223,14 +225,14 @@ impl SledStore {
         self.query(|view| view.numbers())
     }
 
-    /// Reads the store in `directory` without changing any file in it.
+    /// Reads the store in `directory` without changing any file in it. Damage is not an error.
     ///
     /// # Errors
-    /// When a coordinator uses the directory, there is no store, or the disk fails. Damage is not an error.
+    /// An error if a coordinator uses the directory, the store does not exist, or the disk fails.
     pub fn inspect(directory: &Path) -> Result<StoreInspection, StoreError> {
         let lock = lock::probe(&directory.join("lock"))?;
         let (disk, path) = (SystemDisk, directory.join("journal"));
-        // Opening sled changes its files, so a copy of them is opened.
+        // Opening sled changes its files, so open a copy of them.
         let salvage = match view_of_copy(&directory.join("sled"), &path) {
             Ok(view) => salvage::read(&disk, &path, view)?,
             Err(e) => {
@@ -238,7 +240,9 @@ impl SledStore {
                 if alone.damage.is_some() {
                     return Err(e);
                 }
-                tracing::warn!("the view was not compared with the journal, which is whole: {e}");
+                tracing::warn!(
+                    "the view could not be compared with the journal, which is intact: {e}"
+                );
                 alone
             }
         };
@@ -256,10 +260,10 @@ impl SledStore {
         })
     }
 
-    /// Repairs the journal of the store in `directory`, if acknowledged frames of it are damaged.
+    /// Repairs the journal of the store in `directory` if acknowledged frames are damaged.
     ///
     /// # Errors
-    /// When a coordinator uses the directory, or the disk fails.
+    /// An error if a coordinator uses the directory, or if the disk fails.
     pub fn repair(directory: &Path) -> Result<Option<Repaired>, StoreError> {
         let _lock = lock(&directory.join("lock"))?;
         let disk: Arc<dyn Disk> = Arc::new(SystemDisk);
@@ -280,9 +284,9 @@ impl SledStore {
 pub struct StoreInspection {
     /// The readable records.
     pub store: MemoryStore,
-    /// The damage to the journal, if there is any.
+    /// The damage to the journal, or `None` if the journal is intact.
     pub damage: Option<Damage>,
-    /// Whether the journal's watermark could be read. Without it a lost end of the journal may look whole.
+    /// True if the journal's watermark was readable. Without it, a journal with a lost end may look complete.
     pub is_marked: bool,
 }
 
@@ -295,7 +299,7 @@ pub struct Repaired {
     pub damaged: Option<PathBuf>,
 }
 
-/// Reads a view from a copy of its files, so that they stay as they are. Returns `None` if it is unusable.
+/// Reads a view from a copy of its files, so that the files stay unchanged. Returns `None` if it is unusable.
 fn view_of_copy(view: &Path, journal: &Path) -> Result<Option<ViewEntries>, StoreError> {
     if !view.is_dir() {
         return Ok(None);
@@ -305,7 +309,7 @@ fn view_of_copy(view: &Path, journal: &Path) -> Result<Option<ViewEntries>, Stor
     match Live::open(copy.path(), Arc::new(SystemDisk), journal).and_then(|live| live.entries()) {
         Ok(found) => Ok(found),
         Err(StoreError::View { what }) => {
-            tracing::warn!(%what, "the store's view is unusable, so that only its journal counts");
+            tracing::warn!(%what, "the store's view is unusable, so only the journal is read");
             Ok(None)
         }
         Err(other) => Err(other),
@@ -326,12 +330,13 @@ fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The journal compacted, if that is worth it, and the view of it.
+/// Compacts the journal if the journal is much longer than its entries. Returns the journal and its view.
 fn compacted(
     disk: &Arc<dyn Disk>,
     journal: Journal,
     live: Live,
-    (path, view): (&Path, &Path),
+    path: &Path,
+    view: &Path,
 ) -> Result<(Journal, Live), StoreError> {
     let (entries, numbers) = (entries::all(View(&live))?, View(&live).numbers()?);
     let from = journal.end().offset;
@@ -347,7 +352,7 @@ fn compacted(
     Ok((journal, live))
 }
 
-/// Removes a view; it is made again from the journal.
+/// Removes a view. The next start rebuilds it from the journal.
 pub(super) fn remove_view(view: &Path) -> Result<(), StoreError> {
     match std::fs::remove_dir_all(view) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(fault("remove", view)(e)),
@@ -366,7 +371,9 @@ impl Drop for SledStore {
             .take()
             .is_some_and(|writer| writer.join().is_err())
         {
-            tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
+            tracing::error!(
+                "the store's writer thread had panicked; no acknowledged change is lost"
+            );
         }
         self.live
             .write()
@@ -377,21 +384,21 @@ impl Drop for SledStore {
 
 impl Engine for SledStore {
     fn writable(&self) -> Result<(), StoreError> {
-        self.told
+        self.status
             .trouble
             .get()
             .map_or(Ok(()), |e| Err(e.clone().into()))
     }
 
     fn report_syncs(&self, to: Report) {
-        drop(self.told.syncs.set(to));
+        drop(self.status.syncs.set(to));
     }
 
     fn query<A>(
         &self,
         ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
     ) -> Result<A, StoreError> {
-        // Only whole group commits are applied under this lock, so every answer belongs to one state.
+        // Only complete group commits are applied under this lock, so every answer belongs to one state.
         ask(View(
             &*self.live.read().unwrap_or_else(PoisonError::into_inner),
         ))
@@ -415,31 +422,31 @@ impl Engine for SledStore {
     }
 }
 
-/// What the writer thread tells of itself.
+/// The status that the writer thread shares with callers.
 #[derive(Default)]
-struct Told {
+struct WriterStatus {
     syncs: OnceLock<Report>,
-    /// Why the journal can be written no more.
+    /// The error after which the journal can no longer be written.
     trouble: OnceLock<JournalError>,
 }
 
-impl std::fmt::Debug for Told {
+impl std::fmt::Debug for WriterStatus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Told")
+        f.debug_struct("WriterStatus")
             .field("trouble", &self.trouble)
             .finish_non_exhaustive()
     }
 }
 
-/// The writer thread: the only one that appends to the journal and changes the view.
+/// The writer thread, the only thread that appends to the journal and changes the view.
 struct SledWriter {
     journal: Journal,
-    /// The watermark is synced when no command came for this long; `None` for a count of commits only.
+    /// The time without commands after which the watermark is synced; `None` to count only commits.
     idle: Option<Duration>,
-    /// Commits since the watermark was synced.
+    /// The number of commits since the watermark was synced.
     since_sync: u32,
     live: Arc<RwLock<Live>>,
-    told: Arc<Told>,
+    status: Arc<WriterStatus>,
 }
 
 impl SledWriter {
@@ -467,8 +474,8 @@ impl SledWriter {
                     None
                 };
             }
-            // A command that changed nothing waits, too: its answer may depend on changes of other commands
-            // in the group.
+            // A command without changes waits, too: its answer may depend on changes of other commands in the
+            // group.
             let outcome = if payload.len() > 1 {
                 payload.push(b']');
                 self.commit(&payload, staged)
@@ -482,7 +489,8 @@ impl SledWriter {
         self.sync_watermark();
     }
 
-    /// Waits for a command. While none comes, the watermark is made durable: no caller waits for that sync.
+    /// Waits for a command, and returns `None` once all senders are dropped. If no command arrives for a
+    /// while, makes the watermark durable, because no caller waits for that sync.
     fn next(&mut self, incoming: &Receiver<Box<dyn Pending>>) -> Option<Box<dyn Pending>> {
         let is_due = self.since_sync >= WATERMARK_COMMITS;
         let waited = match self.idle {
@@ -507,14 +515,14 @@ impl SledWriter {
         self.since_sync = 0;
     }
 
-    /// One command's event as it goes to the journal, its changes added to `staged`.
+    /// Returns the encoded event of one command, and adds the event's changes to `staged`.
     fn stage(
         &self,
         command: &mut dyn Pending,
         staged: &mut Changes,
     ) -> Result<Option<Bytes>, StoreError> {
         let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
-        let Some(event) = command.decide(View(&Over {
+        let Some(event) = command.decide(View(&ChangedTable {
             under: &*live,
             changes: staged,
         })) else {
@@ -531,7 +539,7 @@ impl SledWriter {
         let begun = Instant::now();
         let numbers = {
             let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
-            View(&Over {
+            View(&ChangedTable {
                 under: &*live,
                 changes: &staged,
             })
@@ -539,11 +547,11 @@ impl SledWriter {
         };
         let end = self.journal.append(payload, numbers).inspect_err(|e| {
             if matches!(e, JournalError::Unusable { .. }) {
-                // Only the first one says what happened.
-                let _ = self.told.trouble.set(e.clone());
+                // Only the first error describes the cause.
+                let _ = self.status.trouble.set(e.clone());
             }
         })?;
-        if let Some(tell) = self.told.syncs.get() {
+        if let Some(tell) = self.status.syncs.get() {
             tell(begun.elapsed());
         }
         self.since_sync += 1;
@@ -555,7 +563,7 @@ impl SledWriter {
     }
 }
 
-/// Moves a broken view aside, for a person to inspect or delete.
+/// Moves a damaged view aside, so that a user can inspect or delete it.
 fn move_aside(view: &Path) -> Result<PathBuf, StoreError> {
     let mut number = 1_u32;
     let aside = loop {

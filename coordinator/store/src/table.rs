@@ -1,9 +1,10 @@
 //! The encoding of records in an ordered table of bytes: keys, checksummed and versioned values, typed
 //! reading.
 //!
-//! Both stores keep one such table, so both read and change it with the same code. The layout of a value is
-//! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong
-//! key is detected like a damaged one. Nothing here decides anything (`rules.rs`) or writes to a disk.
+//! Every store uses one such table, so all stores read and change it with the same code. The layout of a
+//! value is `[version u8][crc32c u32 LE][JSON]`. The checksum covers key, version and JSON, so a value under
+//! a wrong key is detected like a damaged value. This module neither decides (`rules.rs`) nor writes to a
+//! disk.
 
 use std::collections::BTreeMap;
 
@@ -16,19 +17,19 @@ use super::identity::StoreIdentity;
 use super::journal::Numbers;
 use super::limits::check_length;
 
-/// Values are kept below this, because sled's space grows on every overwrite of a large one.
+/// Maximum length of a value, in bytes, because sled's space grows on every overwrite of a large value.
 pub(super) const MAX_VALUE_BYTES: usize = 4096;
 const VALUE_VERSION: u8 = 1;
 const VALUE_HEADER: usize = 5;
 
 pub(super) type Bytes = Vec<u8>;
-/// The changes of an event: the new value of each key, `None` for a key that is removed.
+/// The changes of an event: the new value of each key, `None` for a removed key.
 pub(super) type Changes = BTreeMap<Bytes, Option<Bytes>>;
 
 /// An ordered table of bytes.
 pub(super) trait Table {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError>;
-    /// All entries whose key begins with `prefix`, ascending.
+    /// Returns all entries whose keys begin with `prefix`, ascending.
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError>;
 }
 
@@ -46,13 +47,13 @@ impl Table for BTreeMap<Bytes, Bytes> {
     }
 }
 
-/// A table with changes that are not written yet.
-pub(super) struct Over<'a> {
+/// A table with changes that are not written to it yet.
+pub(super) struct ChangedTable<'a> {
     pub(super) under: &'a dyn Table,
     pub(super) changes: &'a Changes,
 }
 
-impl Table for Over<'_> {
+impl Table for ChangedTable<'_> {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
         match self.changes.get(key) {
             Some(changed) => Ok(changed.clone()),
@@ -76,7 +77,7 @@ impl Table for Over<'_> {
     }
 }
 
-/// The keys. One letter says the kind; numbers are big-endian, so that they sort.
+/// The keys of the table. The first letter is the kind of record; numbers are big-endian, so that they sort.
 pub(super) mod key {
     use super::Bytes;
     use sightline_records::ids::{Digest, JobId, TileIndex};
@@ -100,7 +101,7 @@ pub(super) mod key {
     pub(crate) fn job(job: JobId) -> Bytes {
         join(&[JOBS, &job.0.to_be_bytes()])
     }
-    /// Jobs by key: an empty fact whose last eight bytes are the job's id.
+    /// Returns the prefix of the index of jobs by key. Each index key ends with the job's id in eight bytes.
     pub(crate) fn jobs_of_key(key: &Digest) -> Bytes {
         join(&[b"k", key])
     }
@@ -126,44 +127,52 @@ fn checksum(key: &[u8], body: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c_append(crc, &[VALUE_VERSION]), body)
 }
 
-/// A record as the value under `key`.
+/// Encodes a record as the value under `key`.
 pub(super) fn encode<T: Serialize>(key: &[u8], record: &T) -> Result<Bytes, StoreError> {
     let body = serde_json::to_vec(record).map_err(|e| StoreError::View {
         what: e.to_string(),
     })?;
-    check_length("the record", VALUE_HEADER + body.len(), MAX_VALUE_BYTES)?;
+    check_length(
+        "the record",
+        VALUE_HEADER + body.len(),
+        "bytes",
+        MAX_VALUE_BYTES,
+    )?;
     let mut value = vec![VALUE_VERSION];
     value.extend(checksum(key, &body).to_le_bytes());
     value.extend(body);
     Ok(value)
 }
 
-/// The JSON under `key`, its version and checksum checked.
+/// Returns the JSON of a value under `key`, after checks of its version and checksum.
 pub(super) fn check<'a>(key: &[u8], value: &'a [u8]) -> Result<&'a [u8], StoreError> {
     let damaged = |what: &str| StoreError::View {
-        what: format!("the value under {}: {what}", key.escape_ascii()),
+        what: format!("the value under the key {} {what}", key.escape_ascii()),
     };
-    let (&version, rest) = value.split_first().ok_or_else(|| damaged("empty"))?;
+    let (&version, rest) = value.split_first().ok_or_else(|| damaged("is empty"))?;
     let (crc, body) = rest
         .split_first_chunk::<4>()
-        .ok_or_else(|| damaged("too short"))?;
+        .ok_or_else(|| damaged("is too short"))?;
     if version != VALUE_VERSION {
-        return Err(damaged("of another version"));
+        return Err(damaged("has another version"));
     }
     if u32::from_le_bytes(*crc) != checksum(key, body) {
-        return Err(damaged("its checksum does not match"));
+        return Err(damaged("does not match its checksum"));
     }
     Ok(body)
 }
 
-/// The record under `key`, its version and checksum checked.
+/// Decodes the record under `key`, after checks of its version and checksum.
 pub(super) fn decode<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, StoreError> {
     serde_json::from_slice(check(key, value)?).map_err(|e| StoreError::View {
-        what: format!("the value under {}: {e}", key.escape_ascii()),
+        what: format!(
+            "the value under the key {} cannot be decoded: {e}",
+            key.escape_ascii()
+        ),
     })
 }
 
-/// Typed reading of a table.
+/// Typed read access to a table.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a>(pub(super) &'a dyn Table);
 
@@ -183,7 +192,7 @@ impl View<'_> {
             .collect()
     }
 
-    /// Whether there are neither scenes nor jobs.
+    /// Returns true if the table contains neither scenes nor jobs.
     pub(super) fn is_empty(self) -> Result<bool, StoreError> {
         Ok(self.0.scan(key::SCENES)?.is_empty() && self.0.scan(key::JOBS)?.is_empty())
     }
@@ -200,7 +209,7 @@ impl View<'_> {
         self.one(&key::job(job))
     }
 
-    /// A job that must exist.
+    /// Returns a job, or an error if it does not exist.
     pub(super) fn known_job(self, job: JobId) -> Result<JobRecord, StoreError> {
         self.job(job)?.ok_or(StoreError::UnknownJob { job })
     }
@@ -214,7 +223,7 @@ impl View<'_> {
         before: JobId,
         most: usize,
     ) -> Result<(Vec<JobRecord>, bool), StoreError> {
-        // Ids are given out one after the other, so that few of them are missing.
+        // Ids are assigned consecutively, so few of them are missing.
         let newest = before.0.min(self.next_job()?.0);
         let mut jobs = Vec::new();
         for id in (1..newest).rev().map(JobId) {
@@ -247,7 +256,7 @@ impl View<'_> {
         id.map(|id| self.known_job(id)).transpose()
     }
 
-    /// The request ids a job answers.
+    /// Returns the table keys of the request ids of the submissions that received this job.
     pub(super) fn requests_of(self, job: JobId) -> Result<Vec<Bytes>, StoreError> {
         let mut keys = Vec::new();
         for (key, value) in self.0.scan(key::REQUESTS)? {
@@ -258,7 +267,7 @@ impl View<'_> {
         Ok(keys)
     }
 
-    /// Tiles that have a record, ascending.
+    /// Returns the tiles that have a record, ascending.
     pub(super) fn recorded_tiles(self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         self.all(&key::tiles(job))
     }
@@ -276,7 +285,7 @@ impl View<'_> {
         Ok(all)
     }
 
-    /// A job and one tile of it, which must exist.
+    /// Returns a job and one of its tiles, or an error if either does not exist.
     pub(super) fn job_and_tile(
         self,
         job: JobId,
@@ -316,7 +325,7 @@ impl View<'_> {
         Ok(self.one(key::EPOCH)?.unwrap_or(0))
     }
 
-    /// Returns the numbers that the store has given out.
+    /// Returns the numbers that the store has assigned.
     pub(super) fn numbers(self) -> Result<Numbers, StoreError> {
         Ok(Numbers {
             next_job: self.next_job()?.0,

@@ -11,15 +11,15 @@ use crate::error::StoreError;
 /// A selection of done tiles.
 #[derive(Clone, Debug, Default)]
 pub struct TileFilter {
-    /// Selects tiles of this job; `None` for all jobs.
+    /// The job of the selected tiles; `None` to select tiles of all jobs.
     pub job: Option<JobId>,
-    /// Selects tiles with these numbers; empty for all tiles.
+    /// The indices of the selected tiles; empty to select all tiles.
     pub tiles: BTreeSet<TileIndex>,
-    /// Selects tiles to which a worker of this name may have contributed.
+    /// The name or signature of a worker that may have contributed; `None` to select tiles of all workers.
     pub worker: Option<String>,
-    /// The first commit time, in milliseconds since 1970. Tiles without a time are always selected.
+    /// The earliest commit time, in milliseconds since 1970. Tiles without a time are always selected.
     pub from_ms: u64,
-    /// The last commit time, in milliseconds since 1970.
+    /// The latest commit time, in milliseconds since 1970.
     pub to_ms: u64,
 }
 
@@ -40,11 +40,13 @@ impl TileFilter {
     }
 }
 
-/// Returns the done tiles of each job that are computed again when these workers are quarantined: the tiles
-/// since their last confirmed tile, and the condemned tile.
+/// Returns the done tiles of each job that must be computed again when these workers are quarantined.
+///
+/// These are the tiles to which a worker contributed and that were committed after its last confirmed result,
+/// and the condemned tile.
 ///
 /// # Errors
-/// [`StoreError`] of the reads.
+/// The [`StoreError`] of a failed query.
 pub fn untrusted_tiles(
     store: &dyn Queries,
     workers: &[String],
@@ -81,8 +83,10 @@ pub fn untrusted_tiles(
     Ok(untrusted)
 }
 
-/// Returns the last time at which each of these workers was right: it committed a tile that another worker
-/// has confirmed, or confirmed a tile itself.
+/// Returns the time of each worker's last confirmed result, in milliseconds since 1970.
+///
+/// A result is confirmed if two workers computed the same bytes. The time is the commit time for a
+/// contributor to the tile, and the time of the check for the confirming worker.
 fn agreements(
     store: &dyn Queries,
     workers: &[String],

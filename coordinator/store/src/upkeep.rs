@@ -1,5 +1,7 @@
-//! The rules of the commands that keep a store right: results that are confirmed or not believed any more,
-//! quarantined workers, scenes that go, and entries that come from another store.
+//! The rules of the commands that keep a store correct.
+//!
+//! The commands concern confirmed or untrusted results, quarantined workers, removed scenes, and imported
+//! entries.
 
 use sightline_records::MAX_SIGNATURE_BYTES;
 use sightline_records::ids::{Digest, JobId, TileIndex};
@@ -7,15 +9,15 @@ use sightline_records::{
     JobPhase, JobState, QuarantineRecord, SceneRecord, TileCheck, TileRecord, TileState,
 };
 
-use super::checked;
 use super::entries::Entry;
+use super::entry_checks;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::limits::{check_identifier, clean_reason};
-use super::rules::{Decided, Event, happened, unchanged};
+use super::rules::{Decided, StateChange, happened, unchanged};
 use super::table::View;
 
-/// Who has computed a done tile again with the same bytes.
+/// Records that a worker computed a done tile again with the same bytes.
 pub(super) fn confirm_tile(
     view: View<'_>,
     job: JobId,
@@ -30,17 +32,18 @@ pub(super) fn confirm_tile(
             if *kept == digest && found.check.as_ref() != Some(&check) =>
         {
             found.check = Some(check);
-            happened(Event::TileChanged { job, tile: found }, ())
+            happened(StateChange::TileChanged { job, tile: found }, ())
         }
-        // It was computed again meanwhile, or is known.
+        // The tile has another result by now, or the confirmation is already recorded.
         _ => unchanged(()),
     }
 }
 
-/// Opens tiles again whose results are not believed any more. A done job, whose other outputs are gone,
-/// begins anew. Returns the number of opened tiles. The job notes the epoch, in the same event: a restart
-/// forgets which leases were taken back, and a worker that comes back with one may have computed from what
-/// is opened here.
+/// Reopens tiles whose results are no longer trusted, and returns the number of reopened tiles.
+///
+/// A done job starts again with all tiles, because its other outputs were removed. The same event records the
+/// epoch in the job: a restart loses the list of revoked leases, and a worker that returns with such a lease
+/// may have computed from the untrusted results.
 pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let is_done = record.state.phase() == JobPhase::Done;
@@ -68,10 +71,10 @@ pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) 
         record.finished_at_ms = None;
     }
     record.reopened_epoch = Some(view.epoch()?);
-    // No more than the job has tiles.
+    // The number is at most the job's number of tiles, which is a u32.
     let count = opened.len() as u32;
     happened(
-        Event::TilesReopened {
+        StateChange::TilesReopened {
             job: record,
             tiles: opened,
         },
@@ -79,7 +82,7 @@ pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) 
     )
 }
 
-/// Removes a scene that no job names.
+/// Removes a scene that no job references.
 pub(super) fn delete_scene(view: View<'_>, scene: Digest) -> Decided<SceneRecord> {
     let record = view
         .scene(&scene)?
@@ -87,35 +90,35 @@ pub(super) fn delete_scene(view: View<'_>, scene: Digest) -> Decided<SceneRecord
     if let Some(job) = view.jobs()?.iter().find(|job| job.scene == scene) {
         return Err(StoreError::SceneInUse { scene, job: job.id });
     }
-    happened(Event::SceneDeleted { scene }, record)
+    happened(StateChange::SceneDeleted { scene }, record)
 }
 
-/// Takes over entries of another store. The first ones need an empty store.
+/// Imports entries of another store. With `first`, the store must contain no scenes and no jobs.
 pub(super) fn import(view: View<'_>, entries: Vec<Entry>, first: bool) -> Decided<()> {
     if first && !view.is_empty()? {
         return Err(StoreError::NotEmpty);
     }
-    entries.iter().try_for_each(checked::entry)?;
+    entries.iter().try_for_each(entry_checks::entry)?;
     let entries = entries.iter().map(Entry::written).collect();
-    happened(Event::Imported { entries }, ())
+    happened(StateChange::Imported { entries }, ())
 }
 
-/// Gives the store an identity unless it has one; returns the store's.
+/// Assigns the store an identity unless it has one. Returns the store's identity.
 pub(super) fn identify(view: View<'_>, fresh: StoreIdentity) -> Decided<StoreIdentity> {
     match view.identity()? {
         Some(known) => unchanged(known),
-        None => happened(Event::Identified(fresh.clone()), fresh),
+        None => happened(StateChange::Identified(fresh.clone()), fresh),
     }
 }
 
-/// Records that a worker gets no tiles any more; the first reason stays.
+/// Quarantines a worker. If it is already quarantined, the first reason stays.
 pub(super) fn quarantine(view: View<'_>, record: QuarantineRecord) -> Decided<()> {
     check_identifier("the worker's name", &record.worker, MAX_SIGNATURE_BYTES)?;
     if view.is_quarantined(&record.worker)? {
         return unchanged(());
     }
     happened(
-        Event::Quarantined(QuarantineRecord {
+        StateChange::Quarantined(QuarantineRecord {
             reason: clean_reason(&record.reason),
             ..record
         }),
@@ -123,10 +126,10 @@ pub(super) fn quarantine(view: View<'_>, record: QuarantineRecord) -> Decided<()
     )
 }
 
-/// Records that a worker gets tiles again; returns whether it had none.
+/// Ends the quarantine of a worker. Returns true if the worker was quarantined.
 pub(super) fn release(view: View<'_>, worker: String) -> Decided<bool> {
     if !view.is_quarantined(&worker)? {
         return unchanged(false);
     }
-    happened(Event::Released { worker }, true)
+    happened(StateChange::Released { worker }, true)
 }

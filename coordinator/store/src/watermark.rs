@@ -5,14 +5,14 @@
 //! "SLMARK01"  sequence u64  journal id u64  length u64  chain u64  next job u64  epoch u64  crc32c u32 of
 //! the bytes before
 //! ```
-//! A crash in the middle of an append leaves a torn frame at the end of the journal; a damaged disk leaves a
-//! bad frame at any place. Only a record of the acknowledged length distinguishes the two. The store's writer
-//! records it after each sync of the journal and before the acknowledgement. The slot reaches the page cache
-//! then, which outlives the process; it is synced when the writer is idle ([`WatermarkFile::sync`]). So the
-//! watermark never exceeds the durable part of the journal, and after a power failure it lacks the last
-//! moments at most.
+//! A crash in the middle of an append leaves an incomplete frame at the end of the journal. A damaged disk
+//! leaves a bad frame at any position. Only a record of the acknowledged length distinguishes the two. The
+//! store's writer records it after each sync of the journal and before the acknowledgement. The slot is then
+//! in the page cache, which outlives the process. The slot is synced when the writer is idle
+//! ([`WatermarkFile::sync`]). So the watermark never exceeds the durable part of the journal. After a power
+//! failure it lacks at most the most recent commits.
 //!
-//! The slot with the higher sequence counts. One torn or damaged slot leaves the other one.
+//! The slot with the higher sequence counts. If one slot is incomplete or damaged, the other one is used.
 
 use std::io::{self, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -20,12 +20,12 @@ use std::sync::Arc;
 
 use super::disk::{self, Access, Disk, DiskFile, ZeroUnreadable};
 use super::error::JournalError;
-use super::place::{Numbers, Place};
+use super::place::{JournalPosition, Numbers};
 
 const MAGIC: &[u8; 8] = b"SLMARK01";
-/// The distance of the slots in bytes: disks write sectors of this size in one step.
+/// The distance between the slots, in bytes. Disks write sectors of this size in one step.
 const SLOT_BYTES: u64 = 512;
-/// The length of a slot's content in bytes.
+/// The length of a slot's content, in bytes.
 const CONTENT: usize = 8 * 7 + 4;
 
 /// The acknowledged part of a journal.
@@ -33,26 +33,26 @@ const CONTENT: usize = 8 * 7 + 4;
 pub(super) struct Watermark {
     /// The id of the journal.
     pub(super) journal: u64,
-    /// The end of the last acknowledged frame, in bytes.
+    /// The offset of the end of the last acknowledged frame, in bytes.
     pub(super) length: u64,
     /// The running checksum of the frames up to `length`.
     pub(super) chain: u64,
-    /// The number of the next job. Lower numbers were given out.
+    /// The number of the next job. All lower numbers are assigned.
     pub(super) next_job: u64,
-    /// The epoch begun last.
+    /// The epoch that began last.
     pub(super) epoch: u64,
 }
 
 impl Watermark {
     /// Returns the end of the acknowledged part.
-    pub(super) fn place(&self) -> Place {
-        Place {
+    pub(super) fn place(&self) -> JournalPosition {
+        JournalPosition {
             offset: self.length,
             chain: self.chain,
         }
     }
 
-    /// Returns the numbers that the store had given out.
+    /// Returns the numbers that the store had assigned.
     pub(super) fn numbers(&self) -> Numbers {
         Numbers {
             next_job: self.next_job,
@@ -61,9 +61,9 @@ impl Watermark {
     }
 
     /// Creates the watermark of a journal that is acknowledged up to `end`.
-    pub(super) fn new(journal: u64, end: Place, numbers: Numbers) -> Self {
+    pub(super) fn new(journal: u64, end: JournalPosition, numbers: Numbers) -> Self {
         let (
-            Place {
+            JournalPosition {
                 offset: length,
                 chain,
             },
@@ -79,7 +79,7 @@ impl Watermark {
     }
 }
 
-/// The open file of watermarks.
+/// An open watermark file.
 pub(super) struct WatermarkFile {
     path: PathBuf,
     file: Box<dyn DiskFile>,
@@ -94,8 +94,8 @@ pub(super) fn path_of(journal: &Path) -> PathBuf {
     journal.with_extension("mark")
 }
 
-/// Reads the newest watermark of each journal in the file at `path`; none if the file is missing. A slot that
-/// cannot be read counts as damaged.
+/// Reads the intact watermarks in the file at `path`, newest first. Skips damaged and unreadable slots.
+/// Returns an empty list if the file does not exist.
 pub(super) fn read(disk: &dyn Disk, path: &Path) -> Result<Vec<Watermark>, JournalError> {
     match disk::read_up_to(&ZeroUnreadable(disk), path, 2 * SLOT_BYTES) {
         Ok(bytes) => Ok(slots(&bytes)
@@ -140,7 +140,7 @@ fn slots(bytes: &[u8]) -> Vec<(u64, Watermark)> {
 }
 
 impl WatermarkFile {
-    /// Opens or creates the file. Its slots stay as they are.
+    /// Opens or creates the file, without changing existing slots.
     pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self, JournalError> {
         if disk
             .attributes(path)
@@ -188,7 +188,7 @@ impl WatermarkFile {
         Ok(())
     }
 
-    /// Makes the recorded watermark durable, if it is not yet.
+    /// Makes the recorded watermark durable, unless it already is.
     pub(super) fn sync(&mut self) -> Result<(), JournalError> {
         if self.unsynced {
             self.file.sync().map_err(fault("sync", &self.path))?;

@@ -1,40 +1,40 @@
-//! The border of what a convex polygon and a cap have in common: pieces of great circles and of the cap's
+//! The border of the intersection of a convex polygon and a cap: pieces of great circles and of the cap's
 //! circle.
 
 use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use crate::lambert::{Cap, Covered, crossing};
+use crate::lambert::{Cap, CapCoverage, crossing};
 use crate::polygon::Corner;
 
-/// A piece of a border, which turns to the left as seen from outside of the sphere.
+/// A piece of the border, which runs counter-clockwise as seen from outside the sphere of directions.
 #[derive(Clone, Copy, Debug)]
 pub enum Piece {
     /// The directions v cos t + w sin t, 0 ≤ t ≤ length, of a great circle.
     Great {
-        /// Where it starts.
+        /// The start of the arc, a unit vector.
         v: DVec3,
-        /// Where it goes, at a right angle.
+        /// The direction of travel at the start, a unit vector at a right angle to `v`.
         w: DVec3,
-        /// Its length in radians.
+        /// The length of the arc in radians.
         length: f64,
     },
-    /// The directions of the cap's circle at angles between these two, from [`Cap::across`].
+    /// The directions of the cap's circle at the angles between `from` and `to`, as in [`Cap::on_circle`].
     Circle {
-        /// The first angle.
+        /// The first angle, in radians.
         from: f64,
-        /// The last angle, which is larger.
+        /// The last angle, in radians, which is larger than `from`.
         to: f64,
     },
 }
 
-/// The pieces of the border of what a polygon and a cap have in common. Two pieces that follow each other in
-/// the list need not do so along the border.
+/// Computes the border of the intersection of a polygon and a cap. Consecutive pieces in the list need not be
+/// adjacent on the border.
 pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let covered = cap.covers(corners);
-    if covered == Covered::None {
+    if covered == CapCoverage::None {
         return pieces;
     }
     for (i, v) in corners.iter().enumerate() {
@@ -42,16 +42,16 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
         let way = v.border.cross(v.at);
         let length = libm::atan2(v.at.cross(next).length(), v.at.dot(next));
         let (mut from, mut to) = (0.0, length);
-        if covered == Covered::Part {
-            // The inside of a cap is one stretch of a great circle, at most half a turn, between two
-            // crossings.
+        if covered == CapCoverage::Part {
+            // The inside of a cap is one stretch of the great circle between two crossings, at most half a
+            // turn long.
             let Some([p, q]) = crossing(v.border, 0.0, cap.axis, cap.cosine) else {
                 continue;
             };
             let angle = |p: DVec3| libm::atan2(way.dot(p), v.at.dot(p));
             let (one, two) = (angle(p), angle(q));
             let middle = libm::atan2(way.dot(cap.axis), v.at.dot(cap.axis));
-            // The end before the middle, and the one after it.
+            // The angles from the middle to the next crossing, and from the previous crossing to the middle.
             let past = |t: f64| (t - middle).rem_euclid(TAU);
             let after = past(one).min(past(two));
             let before = TAU - past(one).max(past(two));
@@ -75,7 +75,7 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
             });
         }
     }
-    if covered == Covered::Part {
+    if covered == CapCoverage::Part {
         pieces.extend(
             circle(corners, cap)
                 .into_iter()
@@ -85,7 +85,7 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
     pieces
 }
 
-/// The angles at which the cap's circle lies inside of a polygon.
+/// Computes the ranges of angles, in radians, in which the cap's circle lies inside the polygon.
 fn circle(corners: &[Corner], cap: &Cap) -> Vec<[f64; 2]> {
     let (u, v) = cap.across();
     let mut cuts: Vec<f64> = Vec::new();
@@ -117,7 +117,8 @@ fn circle(corners: &[Corner], cap: &Cap) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Directions on the border in order, at most `step` radians apart on the cap's circle.
+/// Computes a polygon that approximates the intersection of a polygon and a cap. The result contains
+/// directions on the border in order, at most `step` radians apart on the cap's circle.
 pub fn outline(corners: &[Corner], cap: &Cap, step: f64) -> Vec<DVec3> {
     let (u, v) = cap.across();
     let mut points = Vec::new();
@@ -134,7 +135,7 @@ pub fn outline(corners: &[Corner], cap: &Cap, step: f64) -> Vec<DVec3> {
             }
         }
     }
-    // What is common to convex sets is convex, so its border turns once around its middle.
+    // An intersection of convex sets is convex, so its border turns once around its middle.
     let middle = points.iter().sum::<DVec3>().normalize_or(cap.axis);
     let (u, v) = middle.any_orthonormal_pair();
     let (u, v) = if u.cross(v).dot(middle) > 0.0 {

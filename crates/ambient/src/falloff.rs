@@ -1,16 +1,16 @@
-//! The falloff of section 5.3 of the paper, as an integral over what is seen: a direction in which a face is
-//! met at the distance d < D counts √(d/D). (Equation 4 there takes the barycentre of each fragment, so that
-//! its value depends on how fragments were cut.)
+//! The falloff of section 5.3 of the paper, as an integral over the visible faces: a direction that meets a
+//! face at the distance d < D is open by the fraction √(d/D). (Equation 4 of the paper evaluates the
+//! barycentre of each fragment, so its value depends on the division into fragments.)
 //!
 //! Let N be the unit normal of the face's plane, h the point's distance from it, and μ = N·ω. Along ω the
-//! plane is h/μ away, so a part adds √(h/D) ∫ μ^(−½) (n·ω) dω. In the plane at distance 1, at p = ω/μ − N, dω
-//! = μ³ dp and μ = (1 + p²)^(−½); with n = (n·N) N + t the integral is that of
+//! plane is at the distance h/μ, so a part adds √(h/D) ∫ μ^(−½) (n·ω) dω. In the plane at distance 1, at p =
+//! ω/μ − N, dω = μ³ dp and μ = (1 + p²)^(−½). With n = (n·N) N + t the integrand is the sum of
 //!
 //! - (n·N) μ^(7/2), the divergence of (n·N) ⅔ (1 − μ^(3/2)) p / p²,
-//! - (t·p) μ^(7/2), the divergence of −⅔ μ^(3/2) t,
+//! - (t·p) μ^(7/2), the divergence of −⅔ μ^(3/2) t.
 //!
-//! and so one along the border: in closed form on the circle of the distance, by Gauss' rule on great
-//! circles.
+//! Both are divergences, so the integral is an integral along the border: in closed form on the circle of the
+//! distance, and by Gauss' rule on great circles.
 
 use glam::DVec3;
 
@@ -18,13 +18,18 @@ use crate::arcs::{Piece, common};
 use crate::lambert::Cap;
 use crate::polygon::Corner;
 
-/// Longest stretch of a great circle that one application of the rule takes, in radians.
+/// Maximum length, in radians, of a stretch of a great circle for one application of Gauss' rule.
 const STRETCH: f64 = 0.8;
-/// A stretch is halved until its halves give the same but for this, at most so many times: near the plane's
-/// horizon μ^(−½) is steep.
+/// Maximum accepted difference between the integral over a stretch and the sum of the integrals over its two
+/// halves.
+///
+/// A stretch with a larger difference is halved again, at most [`HALVINGS`] times, because μ^(−½) is steep
+/// near the plane's horizon.
 const NEAR: f64 = 1e-12;
+/// Maximum number of successive halvings of a stretch.
 const HALVINGS: u32 = 16;
-/// Gauss' rule of eight points between −1 and 1: points and weights (Abramowitz and Stegun, table 25.4).
+/// Gauss' rule of eight points between −1 and 1: positive points and weights (Abramowitz and Stegun, table
+/// 25.4).
 const RULE: [(f64, f64); 4] = [
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
     (0.525_532_409_916_329, 0.313_706_645_877_887_3),
@@ -32,8 +37,11 @@ const RULE: [(f64, f64); 4] = [
     (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
 ];
 
-/// What a part that meets a plane counts, divided by π, where it meets it within the distance, and the error
-/// of the rule as estimated. `cap` has the plane's normal, and its height by the distance as its cosine.
+/// Computes the contribution to the openness, with the falloff, of the directions of a polygon that meet a
+/// plane within the distance.
+///
+/// The second value is the estimated error of Gauss' rule. `n` is the receiver's normal. The axis of `cap` is
+/// the plane's normal, and its cosine is the plane's height divided by the distance.
 pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> (f64, f64) {
     let normal = cap.axis;
     let up = n.dot(normal);
@@ -42,9 +50,7 @@ pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> (f64, f64) {
     let (mut sum, mut error) = (0.0, 0.0);
     for piece in common(corners, cap) {
         match piece {
-            Piece::Great { v, w, length } => {
-                sum += along(v, w, length, (normal, up, t), &mut error)
-            }
+            Piece::Great { v, w, length } => sum += along(v, w, length, normal, up, t, &mut error),
             Piece::Circle { from, to } => {
                 let c = cap.cosine;
                 let root = c * c.sqrt();
@@ -61,12 +67,15 @@ pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> (f64, f64) {
     (sum * scale, error * scale)
 }
 
-/// One and a half times the integral along a stretch of a great circle.
+/// Computes 3/2 times the integral along the arc v cos t + w sin t, 0 ≤ t ≤ `length`, of a great circle. Adds
+/// the estimated error to `error`.
 fn along(
     v: DVec3,
     w: DVec3,
     length: f64,
-    (normal, up, t): (DVec3, f64, DVec3),
+    normal: DVec3,
+    up: f64,
+    t: DVec3,
     error: &mut f64,
 ) -> f64 {
     let (turn, side) = (normal.dot(v.cross(w)), normal.cross(t));
@@ -75,7 +84,7 @@ fn along(
         let (here, way) = (v * cos + w * sin, w * cos - v * sin);
         let (mu, slope) = (normal.dot(here).max(0.0), normal.dot(way));
         let root = mu.sqrt();
-        // (1 − μ^(3/2)) / (1 − μ²), without the root of both at μ = 1.
+        // (1 − μ^(3/2)) / (1 − μ²), without the zero of both at μ = 1.
         let ratio = (1.0 + root + mu) / ((1.0 + root) * (1.0 + mu));
         let crossed = side.dot(way * mu - here * slope);
         up * ratio * turn - if root > 0.0 { crossed / root } else { 0.0 }
@@ -87,7 +96,8 @@ fn along(
             let from = f64::from(k) * step;
             halved(
                 &at,
-                (from, from + step),
+                from,
+                from + step,
                 rule(&at, from, from + step),
                 HALVINGS,
                 error,
@@ -96,7 +106,7 @@ fn along(
         .sum()
 }
 
-/// Gauss' rule on a stretch.
+/// Integrates the function `at` from `from` to `to` by Gauss' rule.
 fn rule(at: &impl Fn(f64) -> f64, from: f64, to: f64) -> f64 {
     let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
     RULE.iter()
@@ -105,10 +115,15 @@ fn rule(at: &impl Fn(f64) -> f64, from: f64, to: f64) -> f64 {
         * half
 }
 
-/// The integral over a stretch whose rule gives `whole`, by its halves, and theirs while they differ.
+/// Integrates the function `at` from `from` to `to` as the sum over two halves. `whole` is the value of
+/// Gauss' rule for the whole stretch.
+///
+/// Halves further, at most `halvings` times, while the sum differs from `whole` by more than [`NEAR`]. Adds
+/// the remaining difference to `error`.
 fn halved(
     at: &impl Fn(f64) -> f64,
-    (from, to): (f64, f64),
+    from: f64,
+    to: f64,
     whole: f64,
     halvings: u32,
     error: &mut f64,
@@ -120,8 +135,8 @@ fn halved(
         *error += off;
         return one + two;
     }
-    halved(at, (from, middle), one, halvings - 1, error)
-        + halved(at, (middle, to), two, halvings - 1, error)
+    halved(at, from, middle, one, halvings - 1, error)
+        + halved(at, middle, to, two, halvings - 1, error)
 }
 
 #[cfg(test)]
@@ -130,7 +145,7 @@ mod tests {
     use crate::openness::quarters;
 
     #[test]
-    fn a_ceiling_counts_as_in_closed_form() {
+    fn ceiling_falloff_matches_closed_form() {
         for c in [0.1, 0.35, 0.8] {
             let cap = Cap {
                 axis: DVec3::Z,
@@ -146,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilted_plane_counts_as_a_sum_over_cells() {
+    fn tilted_plane_falloff_matches_sum_over_cells() {
         let n = DVec3::Z;
         let cap = Cap {
             axis: DVec3::new(0.48, 0.6, 0.64),

@@ -1,58 +1,60 @@
-//! What a point sees first, in fragments: for each of them a triangle and the directions in which it is seen
-//! (section 4.2 of the paper), what it takes of the hemisphere, and the falloff.
+//! The first hits of a receiver, as fragments (section 4.2 of the paper): each has a triangle, the directions
+//! in which the triangle is visible, and a fraction of the hemisphere. This module also applies the falloff.
 
 use glam::DVec3;
 use sightline_geometry::rounding::UNIT as U;
 
 use crate::arcs::outline;
-use crate::descend::{Ahead, Ends, Rays, Scratch};
+use crate::descent::{PartSink, PlaneAhead, RayPartition, Scratch};
 use crate::falloff;
 use crate::items::Face;
-use crate::lambert::{Cap, Covered, cosine, cosine_without};
-use crate::openness::{Openness, Seen, quarters};
+use crate::lambert::{Cap, CapCoverage, cosine, cosine_without};
+use crate::openness::{Openness, SeenFaces, quarters};
 use crate::polygon::Corner;
 use crate::receivers::Receiver;
 
-/// The circle of the distance is given by directions at most this many radians apart.
+/// Maximum angle, in radians, between consecutive directions that approximate a circle: the directions in
+/// which a plane is exactly at the distance of the settings.
 const STEP: f64 = std::f64::consts::PI / 36.0;
 
-/// A part of the hemisphere in which one polygon is seen first, within the distance.
+/// A part of the hemisphere in which one polygon is the first hit within the distance.
 #[derive(Clone, Debug)]
 pub struct Fragment {
-    /// The polygon's number among the blockers; of answers, the triangle.
+    /// The number of the polygon among the blockers. In results of the solver, the id of the triangle.
     pub polygon: u32,
-    /// The directions of its corners, unit vectors in the order in which they turn to the left as seen from
-    /// outside of the sphere. The circle of the distance is given by points, so that it is cut short a
-    /// little.
+    /// The directions of the fragment's corners: unit vectors, counter-clockwise as seen from outside the
+    /// sphere. If the polygon reaches beyond the distance, directions at the distance approximate a circle by
+    /// chords, so the area of these corners is slightly too small.
     pub directions: Vec<DVec3>,
-    /// Its share of the hemisphere, weighted by the cosine; the circle of the distance counts as it is.
+    /// The fraction of the hemisphere that the fragment covers, weighted by the cosine, from 0 to 1. The
+    /// fraction is computed with the exact circle, without chords.
     pub factor: f64,
 }
 
-/// How far things darken.
+/// The dependence of the openness of a direction on the distance of the face that the direction meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Falloff {
-    /// What is nearer than the distance hides.
+    /// A face nearer than the distance D hides its directions completely.
     #[default]
     None,
-    /// What is met at the distance d leaves √(d/D).
+    /// A face at the distance d < D leaves the fraction √(d/D) of its directions open.
     Sqrt,
 }
 
-struct Collect<'a, F: Fn(u32) -> Face> {
+struct FragmentCollector<'a, F: Fn(u32) -> Face> {
     n: DVec3,
     x: DVec3,
     slack: f64,
     distance: f64,
     falloff: Falloff,
     answer: Openness,
-    seen: &'a mut Seen,
+    seen: &'a mut SeenFaces,
     cuts: &'a mut Vec<f64>,
     face: F,
     fragments: Option<Vec<Fragment>>,
 }
 
-impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
+impl<F: Fn(u32) -> Face> PartSink for FragmentCollector<'_, F> {
     fn free(&mut self, part: &[Corner], _: &[Cap]) {
         self.answer.open += cosine(self.n, part);
         self.answer.parts += 1;
@@ -61,15 +63,15 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
     fn met(&mut self, face: u32, part: &[Corner]) {
         self.answer.parts += 1;
         let f = (self.face)(face);
-        let (cap, unsure) = Ahead::of(&f, self.x, self.slack).cap(self.distance);
+        let (cap, unsure) = PlaneAhead::new(&f, self.x, self.slack).cap(self.distance);
         let whole = cosine(self.n, part);
-        let covered = cap.map_or(Covered::None, |cap| cap.covers(part));
-        let (Some(cap), Covered::Part | Covered::All) = (cap, covered) else {
+        let covered = cap.map_or(CapCoverage::None, |cap| cap.covers(part));
+        let (Some(cap), CapCoverage::Part | CapCoverage::All) = (cap, covered) else {
             self.answer.open += whole;
             return;
         };
         let beyond = match covered {
-            Covered::Part => {
+            CapCoverage::Part => {
                 self.answer.bound += unsure;
                 cosine_without(self.n, part, &[cap], self.cuts)
             }
@@ -79,13 +81,13 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
         if self.falloff == Falloff::Sqrt {
             let (counts, error) = falloff::counts(self.n, part, &cap);
             self.answer.open += counts;
-            // The root of the height by the distance changes by half as much again.
+            // The error of the plane's height also changes the factor √(height / distance).
             self.answer.bound += error + unsure;
         }
         self.answer.occluders += u32::from(self.seen.is_new(face));
         if let Some(fragments) = &mut self.fragments {
             let directions = match covered {
-                Covered::All => part.iter().map(|c| c.at).collect(),
+                CapCoverage::All => part.iter().map(|c| c.at).collect(),
                 _ => outline(part, &cap, STEP),
             };
             fragments.push(Fragment {
@@ -97,26 +99,31 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
     }
 }
 
-/// The openness of a receiver of a source, by the partition of first hits, and its fragments if they are
-/// wanted. They are as the partition divided them: one polygon may have several. None when the descent was
-/// given up.
+/// Computes the openness of a receiver of a source, by the partition of first hits.
+///
+/// Computes the fragments, too, if `wants_fragments` is true. The partition may have divided the visible part
+/// of a polygon, so a polygon may have several fragments. Returns `None` if the descent exceeded
+/// [`RayPartition::most_told`].
 pub fn first(
-    rays: &mut Rays<'_, '_>,
+    rays: &mut RayPartition<'_, '_>,
     receiver: &Receiver,
-    (distance, falloff, wanted): (f64, Falloff, bool),
+    distance: f64,
+    falloff: Falloff,
+    wants_fragments: bool,
     scratch: &mut Scratch,
-    (seen, cuts): (&mut Seen, &mut Vec<f64>),
+    seen: &mut SeenFaces,
+    cuts: &mut Vec<f64>,
 ) -> Option<(Openness, Vec<Fragment>)> {
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
     seen.begin();
     rays.begin();
-    let mut pieces = Pieces::default();
+    let mut pieces = CollectedFragments::default();
     let mut bound = 0.0;
     for quarter in quarters(n) {
         bound += rays.descend(x, &quarter, scratch, &mut pieces)?;
     }
-    let mut collect = Collect {
+    let mut collect = FragmentCollector {
         n,
         x,
         slack: rays.source.slack,
@@ -126,7 +133,7 @@ pub fn first(
         seen,
         cuts,
         face: |face| *rays.items.face(face),
-        fragments: wanted.then(Vec::new),
+        fragments: wants_fragments.then(Vec::new),
     };
     for (face, range) in &pieces.parts {
         let part = &pieces.corners[range.clone()];
@@ -141,14 +148,15 @@ pub fn first(
     Some((answer, fragments.unwrap_or_default()))
 }
 
-/// The parts in the order in which they ended, with their faces.
+/// The parts of the hemisphere in the order in which they reached leaves, each with the number of its face
+/// and the range of its corners in `corners`. A part that meets no face has the number `None`.
 #[derive(Default)]
-struct Pieces {
+struct CollectedFragments {
     corners: Vec<Corner>,
     parts: Vec<(Option<u32>, std::ops::Range<usize>)>,
 }
 
-impl Pieces {
+impl CollectedFragments {
     fn push(&mut self, face: Option<u32>, part: &[Corner]) {
         let start = self.corners.len();
         self.corners.extend_from_slice(part);
@@ -156,7 +164,7 @@ impl Pieces {
     }
 }
 
-impl Ends for Pieces {
+impl PartSink for CollectedFragments {
     fn free(&mut self, part: &[Corner], _: &[Cap]) {
         self.push(None, part);
     }

@@ -1,20 +1,20 @@
-//! The bodies of the fuzz targets `points` and `lights`, which the tests call too.
+//! The bodies of the fuzz targets `points` and `lights`, which the tests also call.
 
 use glam::{DVec3, Vec3};
 use serde::de::DeserializeOwned;
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_scene::{Object, Scene, Triangle, TriangleId};
 
 use crate::fragments::Falloff;
 use crate::lights::Light;
 use crate::lines::{LightLine, PointLine};
 use crate::receivers::Receiver;
-use crate::solve::{Answer, Prepared, Settings, Solver};
+use crate::solve::{AmbientScene, ReceiverResult, Solver, SolverSettings};
 
-/// Most points or lights of a run, so that it is fast.
+/// Maximum number of points or lights of one call, which bounds its duration.
 const MOST: usize = 16;
 
-/// A floor, a roof that crosses a wall, and triangles that share edges and planes, also at the limits of
-/// single precision.
+/// The scene of the fuzz targets: a floor, a roof that crosses a wall, and triangles that share edges and
+/// planes, also at the limits of single precision.
 const TRIANGLES: [[[f32; 3]; 3]; 9] = [
     [[-4.0, -4.0, 0.0], [4.0, -4.0, 0.0], [4.0, 4.0, 0.0]],
     [[-4.0, -4.0, 0.0], [4.0, 4.0, 0.0], [-4.0, 4.0, 0.0]],
@@ -31,31 +31,33 @@ const TRIANGLES: [[[f32; 3]; 3]; 9] = [
     [[-3.0, -3.0, 0.5], [-3.0, 3.0, 0.5], [-3.5, 0.0, 4.0]],
 ];
 
-/// The lines of bytes that are what they should be. Every line is looked at.
+/// Parses each line of `bytes`, and skips lines that are not valid.
 fn lines<L: DeserializeOwned>(bytes: &[u8]) -> impl Iterator<Item = L> {
     bytes
         .split(|b| *b == b'\n')
         .filter_map(|line| serde_json::from_slice(line).ok())
 }
 
-/// Bytes as the lines of a points file, and their openness: within a finite distance, an infinite one, and
-/// with falloff and fragments. Returns whether there is a point.
+/// Parses bytes as the lines of a points file, and checks the openness of the points. Returns true if the
+/// file contains a point.
+///
+/// The checks use a finite distance, an infinite distance, and a falloff with fragments.
 ///
 /// # Panics
-/// When an answer is not between 0 and 1, or not finite, or fragments and openness do not add up. No bytes
-/// may cause that.
+/// If an answer is not finite or not between 0 and 1 within its bound, or if the fragments of a point cover
+/// more than its hemisphere. No input may cause that.
 pub fn points(bytes: &[u8]) -> bool {
     let receivers: Vec<Receiver> = lines(bytes)
         .filter_map(|line: PointLine| line.receiver(TRIANGLES.len()).ok())
         .take(MOST)
         .collect();
     let [near, far, first] = [
-        Settings::new(1.5),
-        Settings::new(f64::INFINITY),
-        Settings {
+        SolverSettings::new(1.5),
+        SolverSettings::new(f64::INFINITY),
+        SolverSettings {
             falloff: Falloff::Sqrt,
             fragments: true,
-            ..Settings::new(2.5)
+            ..SolverSettings::new(2.5)
         },
     ];
     for settings in [near, far, first] {
@@ -64,11 +66,11 @@ pub fn points(bytes: &[u8]) -> bool {
     !receivers.is_empty()
 }
 
-/// Bytes as the lines of a lights file, and the lights' form factors from a few points. Returns whether there
-/// is a light.
+/// Parses bytes as the lines of a lights file, and checks the form factors of the lights from three points.
+/// Returns true if the file contains a light.
 ///
 /// # Panics
-/// When a factor is not between 0 and 1 within its bound, or not finite. No bytes may cause that.
+/// If a factor is not finite, or not between 0 and 1 within its bound. No input may cause that.
 pub fn lights(bytes: &[u8]) -> bool {
     let lights: Vec<Light> = lines(bytes)
         .filter_map(|line: LightLine| Some(line.light().ok()?.1))
@@ -81,22 +83,22 @@ pub fn lights(bytes: &[u8]) -> bool {
         triangle,
     };
     let receivers = [
-        at([0.25, 0.25, 0.0], DVec3::Z, Some(0)),
-        at([0.5, 0.25, 0.0], DVec3::Z, Some(0)),
+        at([0.25, 0.25, 0.0], DVec3::Z, Some(TriangleId(0))),
+        at([0.5, 0.25, 0.0], DVec3::Z, Some(TriangleId(0))),
         at([-1.0, 2.0, 0.5], DVec3::new(0.6, 0.0, 0.8), None),
     ];
     answers(
         &receivers,
-        Settings {
+        SolverSettings {
             lights,
-            ..Settings::new(2.0)
+            ..SolverSettings::new(2.0)
         },
     );
     is_any
 }
 
-/// Answers, which are checked.
-fn answers(receivers: &[Receiver], settings: Settings) {
+/// Computes the answers for `receivers`, and checks the answers.
+fn answers(receivers: &[Receiver], settings: SolverSettings) {
     let corners = |t: &[[f32; 3]; 3]| Triangle {
         v: t.map(Vec3::from),
     };
@@ -110,14 +112,17 @@ fn answers(receivers: &[Receiver], settings: Settings) {
         TRIANGLES.iter().map(corners).collect(),
         vec![object],
     );
-    let prepared = scene.and_then(|scene| Prepared::new(&scene, settings.fragments));
+    let prepared = scene.and_then(|scene| AmbientScene::new(&scene, settings.fragments));
     let solver = prepared
         .as_ref()
         .map(|prepared| Solver::new(prepared, settings.clone()));
-    assert!(solver.is_ok(), "the scene of the fuzz targets is one");
+    assert!(
+        solver.is_ok(),
+        "the scene of the fuzz targets must be valid"
+    );
     let Ok(solver) = solver else { return };
     for (receiver, answer) in receivers.iter().zip(solver.solve(receivers, |_| {})) {
-        let Answer {
+        let ReceiverResult {
             openness,
             lights,
             fragments,
@@ -129,7 +134,7 @@ fn answers(receivers: &[Receiver], settings: Settings) {
             "{receiver:?}: {openness:?}"
         );
         for share in lights.iter().chain([&openness.open]) {
-            // Lambert's formula may leave the range by roundings, which the bound counts.
+            // Rounding errors, which the bound includes, can move Lambert's formula out of the range.
             assert!(
                 *share >= 0.0 && *share <= 1.0 + bound,
                 "{receiver:?}: {share} within {bound}"
@@ -139,7 +144,7 @@ fn answers(receivers: &[Receiver], settings: Settings) {
         let factors: f64 = fragments.iter().map(|f| f.factor).sum();
         assert!(
             factors.is_finite() && factors <= 1.0 + bound,
-            "{receiver:?}: fragments take {factors}"
+            "{receiver:?}: the fragments cover {factors} of the hemisphere"
         );
     }
 }

@@ -1,24 +1,25 @@
-//! Convex sets, and how far they reach in a direction.
+//! Convex sets of points, and their extents along vectors.
 
 use glam::DVec3;
 
-/// A convex set.
+/// A convex set: the hull of corners, or a box.
 #[derive(Clone, Copy, Debug)]
 pub enum Hull<'a> {
-    /// That of corners.
+    /// The convex hull of these corners.
     Of(&'a [DVec3]),
     /// A box: its middle and half its size.
     Box(DVec3, DVec3),
 }
 
 impl Hull<'_> {
-    /// The least and the largest of m·p over its points p.
+    /// Returns the minimum and the maximum of m·p over the points p of the set.
     pub fn extent(&self, m: DVec3) -> (f64, f64) {
         let ([least], [most]) = self.extents(&[[m.x], [m.y], [m.z]]);
         (least, most)
     }
 
-    /// The same for some m at a time, given by their coordinates.
+    /// Returns the minima and maxima of m·p for `N` vectors m. `m` contains the x, y and z coordinates of
+    /// these vectors.
     #[inline]
     pub fn extents<const N: usize>(&self, m: &[[f64; N]; 3]) -> ([f64; N], [f64; N]) {
         let along = |p: &DVec3, lane: usize| m[0][lane] * p.x + m[1][lane] * p.y + m[2][lane] * p.z;

@@ -1,54 +1,58 @@
-//! Hyperplanes of edges, told for all corners of a source and whole items at once.
+//! The hyperplanes of occluders' edges, and a test of the side on which all rays from a source to an item
+//! pass an edge.
 
 use glam::DVec3;
 use sightline_geometry::rounding::UNIT as U;
 
 use crate::hull::Hull;
 use crate::polygon::Plane;
-use crate::receivers::Source;
+use crate::receivers::ReceiverHull;
 
-/// On which side of a hyperplane the rays to an item pass.
-pub enum Passes {
-    /// Inside of it.
+/// The side of a hyperplane on which the rays to an item pass.
+pub enum PassingSide {
+    /// All rays pass inside the hyperplane.
     Inside,
-    /// Outside.
+    /// All rays pass outside the hyperplane.
     Outside,
-    /// On both sides, or doubles cannot tell.
+    /// Rays pass on both sides, or doubles cannot decide.
     Both,
 }
 
-/// Corners of a source that are told together: it has one, two, four or eight.
+/// The number of source corners that are tested together. A source has one, two, four or eight corners.
 const LANES: usize = 4;
 
-/// The planes through some corners of a source and a line, lane by lane.
+/// The planes through a line and the corners of a source, one plane per corner. Each lane has one plane.
 #[derive(Clone, Copy, Debug, Default)]
 struct Planes {
-    /// The normals' coordinates.
+    /// The x, y and z coordinates of the planes' normals.
     m: [[f64; LANES]; 3],
-    /// Where the corners are along the normals.
+    /// The dot product of each corner and the normal of its plane.
     from: [f64; LANES],
-    /// Bounds of the errors.
+    /// A bound on the error of each plane's dot products, divided by the length of the other vector.
     error: [f64; LANES],
 }
 
 /// A hyperplane, prepared for the corners of the source.
 pub struct Hyperplane {
     planes: [Planes; 2],
-    /// How many of them there are.
+    /// The number of used entries of `planes`.
     count: usize,
-    /// Bound on what the source's slack can change, by the sum of two lengths.
+    /// A bound on the effect of the source's slack, divided by the sum of two distances from the source: of
+    /// the line and of an item.
     slack: f64,
-    /// Largest distance of the source from the line's points.
+    /// Maximum distance between the source and a point of the line.
     far: f64,
 }
 
-/// The sum of the absolute values.
+/// Returns the sum of the absolute values of the coordinates.
 pub fn l1(v: DVec3) -> f64 {
     v.x.abs() + v.y.abs() + v.z.abs()
 }
 
-/// The plane through a point `x` and the line from `a` to `b`. A difference is off by a rounding, and by the
-/// point's own error; a product of two and the sum of three add three roundings, and m·v as many.
+/// Computes the plane through a point `x` and the line from `a` to `b`.
+///
+/// A difference has one rounding error and the error of the point. A product of two factors and a sum of
+/// three terms add three roundings, and m·v adds as many.
 pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
     let (p, q) = (a - x, b - x);
     Plane {
@@ -58,14 +62,15 @@ pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
 }
 
 impl Hyperplane {
-    /// The hyperplane of the line from `a` to `b`, no point of which is farther than `far` from the source.
-    pub fn new(source: &Source, a: DVec3, b: DVec3, far: f64) -> Self {
+    /// Creates the hyperplane of the line from `a` to `b`. All points of the line are at most `far` from the
+    /// source.
+    pub fn new(source: &ReceiverHull, a: DVec3, b: DVec3, far: f64) -> Self {
         let mut planes = [Planes::default(); 2];
         let groups = source.corners.chunks(LANES);
         let count = groups.len();
         for (planes, corners) in planes.iter_mut().zip(groups) {
             for lane in 0..LANES {
-                // Lanes without a corner of their own repeat the first.
+                // Lanes without a corner repeat the first corner.
                 let s = corners.get(lane).unwrap_or(&corners[0]);
                 let Plane { m, error } = plane(a, b, *s);
                 (0..3).for_each(|k| planes.m[k][lane] = m[k]);
@@ -80,8 +85,9 @@ impl Hyperplane {
         }
     }
 
-    /// How rays to a hull pass, no corner of which is farther than `far` from the source.
-    pub fn passes(&self, hull: Hull<'_>, far: f64) -> Passes {
+    /// Returns the side on which rays from the source to a hull pass. All corners of the hull are at most
+    /// `far` from the source.
+    pub fn passes(&self, hull: Hull<'_>, far: f64) -> PassingSide {
         let (mut inside, mut outside) = (true, true);
         let slack = self.slack * (far + self.far);
         for planes in &self.planes[..self.count] {
@@ -92,13 +98,13 @@ impl Hyperplane {
                 outside &= most[k] - planes.from[k] < -bound;
             }
             if !inside && !outside {
-                return Passes::Both;
+                return PassingSide::Both;
             }
         }
         if inside {
-            Passes::Inside
+            PassingSide::Inside
         } else {
-            Passes::Outside
+            PassingSide::Outside
         }
     }
 }

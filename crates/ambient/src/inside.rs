@@ -1,21 +1,23 @@
-//! Whether a point is inside of a closed solid of triangles that block, where nothing is ever seen.
+//! A test for receivers inside closed solids of blocking triangles. No viewpoint outside a solid sees its
+//! inside.
 
 use glam::{DVec3, Vec3};
 use sightline_geometry::Bvh;
 use sightline_geometry::rounding::UNIT as U;
 use sightline_numbers::Aabb;
 use sightline_scene::topology::Solids;
-use sightline_scene::{Scene, SceneError};
+use sightline_scene::{Scene, SceneError, TriangleId};
 
 use crate::receivers::Receiver;
 
-/// Directions that are tried; where a line touches an edge the next one is.
+/// Maximum number of tested directions per receiver. If the line in one direction touches an edge, the test
+/// continues with the next direction.
 const TRIES: u32 = 8;
 
-/// The closed solids of a scene: surfaces whose normals all point out.
+/// The triangles of the closed solids of a scene whose normals all point outwards.
 pub struct Inside {
     triangles: Vec<[Vec3; 3]>,
-    /// Their numbers in the scene.
+    /// The ids of the triangles in the scene.
     ids: Vec<u32>,
     bvh: Bvh,
     bounds: Aabb,
@@ -25,10 +27,10 @@ impl Inside {
     /// Finds the solids of a scene.
     ///
     /// # Errors
-    /// As [`Solids::of`].
+    /// [`SceneError`] as for [`Solids::find`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
-        let solids = Solids::of_blocking(scene)?;
-        let outer = |id: u32| solids.outward(id) == Some(1.0);
+        let solids = Solids::find_blocking(scene)?;
+        let outer = |id: u32| solids.outward(TriangleId(id)) == Some(1.0);
         let ids: Vec<u32> = (0..scene.len()).filter(|id| outer(*id)).collect();
         let triangles: Vec<[Vec3; 3]> = ids
             .iter()
@@ -48,9 +50,10 @@ impl Inside {
         })
     }
 
-    /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many
-    /// solids more than it enters as it starts in. Where every line that is tried touches an edge, it is
-    /// taken as outside.
+    /// Returns true if a receiver, moved slightly above its surface, is inside a solid.
+    ///
+    /// A line from a receiver inside n solids leaves solids n times more often than the line enters solids.
+    /// If every tested line touches an edge, the receiver counts as outside.
     pub fn holds(&self, receiver: &Receiver) -> bool {
         let x = receiver.point;
         let box_ = (self.bounds.min.as_dvec3(), self.bounds.max.as_dvec3());
@@ -62,17 +65,17 @@ impl Inside {
         let away = (box_.1 - box_.0).length() * 2.0;
         let mut near = Vec::new();
         (0..TRIES).find_map(|k| {
-            // Tilted from the normal by 0.1 to 0.8 of a right angle's tangent, each time to another side.
+            // The tangent of the angle to the normal is 0.1 to 0.8, and each direction tilts to another side.
             let (tilt, turn) = (0.1 + 0.1 * f64::from(k), 2.4 * f64::from(k) + 0.37);
             let way = (n + u * (tilt * libm::cos(turn)) + v * (tilt * libm::sin(turn))).normalize()
                 * away;
             near.clear();
             let size = x.abs().max_element() + away;
             self.bvh.along(x, x + way, size * 1e-12, &mut near);
-            // The point is above its own triangle, wherever rounding put it.
+            // The receiver counts as above its own triangle, even if rounding moved the receiver below.
             let others = near
                 .iter()
-                .filter(|t| receiver.triangle != Some(self.ids[**t as usize]));
+                .filter(|t| receiver.triangle != Some(TriangleId(self.ids[**t as usize])));
             let leaves = others.copied().try_fold(0i64, |sum, t| {
                 Some(sum + crossing(&self.triangles[t as usize], x, way)?)
             });
@@ -81,8 +84,9 @@ impl Inside {
     }
 }
 
-/// 1 when a ray leaves through a triangle along its normal, −1 when it enters, 0 when it misses it or starts
-/// in its plane; none when doubles cannot tell.
+/// Returns 1 if a ray leaves through a triangle along its normal, and −1 if the ray enters.
+///
+/// Returns 0 if the ray misses the triangle or starts in its plane, and `None` if doubles cannot decide.
 fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
     let [a, b, c] = triangle.map(|p| p.as_dvec3() - x);
     let rounded = 4.0 * U * x.abs().max_element();
@@ -99,15 +103,15 @@ fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
         (value.abs() > error).then_some(value > 0.0)
     };
     let sides = [sign(a, b), sign(b, c), sign(c, a)];
-    // Two sides that differ for sure miss it, whatever the third.
+    // Two sides with certain and different signs prove a miss, whatever the sign of the third side is.
     if sides.contains(&Some(true)) && sides.contains(&Some(false)) {
         return Some(0);
     }
     let [Some(side), Some(_), Some(_)] = sides else {
         return None;
     };
-    // With all three positive the triangle turns to the left about the ray: it leaves through it if it is
-    // ahead.
+    // If all three signs are positive, the triangle runs counter-clockwise about the ray. The ray leaves
+    // through the triangle if the triangle is ahead.
     let ahead = (height > 0.0) == (normal.dot(way) > 0.0);
     Some(i64::from(ahead) * if side { 1 } else { -1 })
 }

@@ -1,5 +1,5 @@
-//! What may hide something from a block of receivers: polygons, and boxes that stand for the polygons inside
-//! until they are opened (section 6.6 of the paper asks for such a far field).
+//! The potential occluders of a block of receivers: polygons, and boxes that represent the polygons inside
+//! until a query opens the box. (Section 6.6 of the paper asks for such a far field.)
 
 use glam::DVec3;
 use sightline_geometry::Below;
@@ -7,35 +7,36 @@ use sightline_geometry::rounding::UNIT as U;
 
 use crate::blockers::{Blockers, corners_of};
 use crate::hull::Hull;
-use crate::receivers::Source;
+use crate::receivers::ReceiverHull;
 
-/// On which side of a polygon's plane the source lies.
+/// The side of a polygon's plane on which the source lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum From {
-    /// On the side the normal points to, or the other one.
+pub enum SourceSide {
+    /// One side: true for the side that the normal points to, false for the other side.
     Side(bool),
-    /// The plane passes through the source, or too close by to tell.
+    /// Both sides: the plane passes through the source, or too close to the source for doubles to decide.
     Both,
 }
 
-/// Up to where something hides.
+/// The range within which faces hide directions.
 #[derive(Clone, Copy, Debug)]
-pub enum Reach {
-    /// What is nearer than this; infinite for everything.
+pub enum HidingRange {
+    /// A distance in units of the scene. Faces nearer than this distance hide; an infinite distance includes
+    /// every face.
     Distance(f64),
-    /// What is before a light's plane.
+    /// A light's plane. Faces in front of the plane hide.
     Light {
-        /// The unit normal of the plane, away from the source.
+        /// The unit normal of the plane, which points away from the source.
         normal: DVec3,
-        /// A point of the plane, from the source's origin.
+        /// A point of the plane, relative to the source's origin.
         at: DVec3,
-        /// What is that near the plane is in it.
+        /// Maximum distance of a point that counts as in the plane.
         slack: f64,
     },
 }
 
-impl Reach {
-    /// The distance, infinite for a light.
+impl HidingRange {
+    /// Returns the distance, which is infinite for a light.
     pub fn distance(&self) -> f64 {
         match self {
             Self::Distance(distance) => *distance,
@@ -43,7 +44,8 @@ impl Reach {
         }
     }
 
-    /// Whether corners all lie in or behind the light's plane.
+    /// Returns true if all corners lie in or behind the light's plane. Returns false if the range is a
+    /// distance.
     fn is_beyond(&self, corners: &[DVec3]) -> bool {
         match self {
             Self::Distance(_) => false,
@@ -57,73 +59,77 @@ impl Reach {
 /// A polygon as seen from a source.
 #[derive(Clone, Copy, Debug)]
 pub struct Face {
-    /// Its number in the scene.
+    /// The number of the polygon in [`Blockers`].
     pub polygon: u32,
-    /// Its item.
+    /// The number of the face's item in [`Items`].
     pub item: u32,
-    /// (b − a) × (c − a) of three of its corners, not of unit length.
+    /// The normal (b − a) × (c − a) of three corners a, b and c of the polygon. Not of unit length.
     pub normal: DVec3,
-    /// A corner, from the origin.
+    /// A corner of the polygon, relative to the source's origin.
     pub at: DVec3,
-    /// Bound on the error of normal·d, by |d|.
+    /// A bound on the error of normal·d, divided by |d|.
     pub error: f64,
-    /// Where the source lies.
-    pub from: From,
-    /// Whether it hides from everywhere in the source all that is behind it, because all of it is within
-    /// reach.
+    /// The side of the face's plane on which the source lies.
+    pub from: SourceSide,
+    /// True if the whole face is within the hiding range of every point of the source, so that the face hides
+    /// all directions to its points.
     pub within: bool,
 }
 
-/// What a leaf of the partition lists.
+/// A potential occluder: a face or a box. The lists of the partition's classes contain item numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Item {
-    /// The corners of its hull: first and number among the points.
+    /// The index of the hull's first corner in `Items::points`.
     first: u32,
+    /// The number of the hull's corners.
     count: u32,
-    /// Largest distance between a point of the source and a corner.
+    /// Maximum distance between a point of the source and a corner of the item, in units of the scene.
     pub far: f64,
-    /// About the solid angle it takes; the largest is asked first.
+    /// The approximate solid angle of the item, in steradians. The partition processes items with larger
+    /// weights first.
     pub weight: f64,
-    /// The face's number, or the box's node.
-    pub what: What,
+    /// The number of the item's face, or the node of the item's box.
+    pub what: ItemKind,
 }
 
-/// The kind of an item.
+/// The kind of an item: a face or a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum What {
-    /// A face.
+pub enum ItemKind {
+    /// The number of a face in [`Items`].
     Face(u32),
-    /// A node of the hierarchy.
+    /// The number of a box's node in the hierarchy of [`Blockers::bvh`].
     Box(u32),
 }
 
-/// All items that a block has met.
+/// The items that the queries of a block have reached.
 pub struct Items<'a> {
     blockers: &'a Blockers,
-    source: &'a Source,
-    reach: Reach,
-    /// A surface that hides nothing.
+    source: &'a ReceiverHull,
+    reach: HidingRange,
+    /// The number of the surface that contains the receivers. This surface does not hide directions.
     own: Option<u32>,
     points: Vec<DVec3>,
     items: Vec<Item>,
     faces: Vec<Face>,
-    /// The items of an opened box: first and number among `children`. By item.
+    /// For each opened box, its items in `children`: the index of the first entry, and the number of entries.
+    /// `None` for faces and for boxes that are not open.
     opened: Vec<Option<(u32, u32)>>,
+    /// The numbers of the items of all opened boxes.
     children: Vec<u32>,
-    /// How many there were to begin with.
-    begun: Counts,
+    /// The lengths of the lists after `begin`.
+    begun: ListLengths,
 }
 
-/// Lengths of the lists of [`Items`].
+/// The lengths of the lists of [`Items`].
 #[derive(Clone, Copy, Debug, Default)]
-struct Counts {
+struct ListLengths {
     points: usize,
     items: usize,
     faces: usize,
     children: usize,
 }
 
-/// Distance of a point from a convex polygon.
+/// Returns the distance of a point from a convex polygon.
 fn distance(p: DVec3, corners: &[DVec3], normal: DVec3) -> f64 {
     let size = normal.length();
     let (mut inside, mut nearest) = (size > 0.0, f64::INFINITY);
@@ -146,8 +152,13 @@ fn distance(p: DVec3, corners: &[DVec3], normal: DVec3) -> f64 {
 }
 
 impl<'a> Items<'a> {
-    /// No items yet.
-    pub fn new(blockers: &'a Blockers, source: &'a Source, reach: Reach, own: Option<u32>) -> Self {
+    /// Creates an empty set of items.
+    pub fn new(
+        blockers: &'a Blockers,
+        source: &'a ReceiverHull,
+        reach: HidingRange,
+        own: Option<u32>,
+    ) -> Self {
         Self {
             blockers,
             source,
@@ -158,11 +169,11 @@ impl<'a> Items<'a> {
             faces: Vec::new(),
             opened: Vec::new(),
             children: Vec::new(),
-            begun: Counts::default(),
+            begun: ListLengths::default(),
         }
     }
 
-    /// Bytes that they take, about.
+    /// Returns the approximate memory of the items, in bytes.
     pub fn bytes(&self) -> usize {
         self.points.len() * size_of::<DVec3>()
             + self.items.len() * (size_of::<Item>() + size_of::<Option<(u32, u32)>>())
@@ -170,10 +181,10 @@ impl<'a> Items<'a> {
             + self.children.len() * size_of::<u32>()
     }
 
-    /// Forgets what has been opened since [`Self::begin`]. Numbers of later items and faces mean nothing any
-    /// more.
+    /// Removes the items that were opened since [`Self::begin`]. The numbers of these items and of their
+    /// faces become invalid.
     pub fn forget(&mut self) {
-        let Counts {
+        let ListLengths {
             points,
             items,
             faces,
@@ -189,51 +200,51 @@ impl<'a> Items<'a> {
         }
     }
 
-    /// Up to where something hides.
-    pub fn reach(&self) -> &Reach {
+    /// Returns the range within which faces hide directions.
+    pub fn reach(&self) -> &HidingRange {
         &self.reach
     }
 
-    /// An item.
+    /// Returns the item with the number `id`.
     pub fn item(&self, id: u32) -> &Item {
         &self.items[id as usize]
     }
 
-    /// The corners of an item's hull, from the origin.
+    /// Returns the corners of an item's hull, relative to the source's origin.
     pub fn corners(&self, id: u32) -> &[DVec3] {
         let item = &self.items[id as usize];
         &self.points[item.first as usize..(item.first + item.count) as usize]
     }
 
-    /// An item's hull, from the origin.
+    /// Returns an item's hull, relative to the source's origin.
     pub fn hull(&self, id: u32) -> Hull<'_> {
         let corners = self.corners(id);
         match self.items[id as usize].what {
-            What::Face(_) => Hull::Of(corners),
-            What::Box(_) => {
+            ItemKind::Face(_) => Hull::Of(corners),
+            ItemKind::Box(_) => {
                 let (min, max) = (corners[0], corners[7]);
                 Hull::Box((min + max) * 0.5, (max - min) * 0.5)
             }
         }
     }
 
-    /// The number of an item's first corner.
+    /// Returns the number of an item's first corner, for [`Self::point`].
     pub fn first(&self, id: u32) -> u32 {
         self.items[id as usize].first
     }
 
-    /// A corner.
+    /// Returns the corner with the number `at`, relative to the source's origin.
     pub fn point(&self, at: u32) -> DVec3 {
         self.points[at as usize]
     }
 
-    /// A face.
+    /// Returns the face with the number `face`.
     pub fn face(&self, face: u32) -> &Face {
         &self.faces[face as usize]
     }
 
-    /// The items to begin with, the largest first: boxes that take more than `largest` of solid angle are
-    /// opened.
+    /// Creates the initial items and returns their numbers, the item with the largest solid angle first.
+    /// Opens boxes with a solid angle of more than `largest` steradians.
     pub fn begin(&mut self, largest: f64) -> Vec<u32> {
         let mut open = Vec::new();
         if !self.blockers.bvh().is_empty() {
@@ -242,7 +253,7 @@ impl<'a> Items<'a> {
         let mut list = Vec::new();
         while let Some(id) = open.pop() {
             let item = self.items[id as usize];
-            if matches!(item.what, What::Face(_)) || item.weight <= largest {
+            if matches!(item.what, ItemKind::Face(_)) || item.weight <= largest {
                 list.push(id);
             } else {
                 let (first, count) = self.inside(id);
@@ -251,7 +262,7 @@ impl<'a> Items<'a> {
         }
         self.sort(&mut list);
         let (points, items) = (self.points.len(), self.items.len());
-        self.begun = Counts {
+        self.begun = ListLengths {
             points,
             items,
             faces: self.faces.len(),
@@ -260,7 +271,7 @@ impl<'a> Items<'a> {
         list
     }
 
-    /// Sorts items, the largest first.
+    /// Sorts items by solid angle, the largest first.
     pub fn sort(&self, list: &mut [u32]) {
         list.sort_unstable_by(|a, b| {
             let weight = |id: &u32| self.items[*id as usize].weight;
@@ -268,7 +279,7 @@ impl<'a> Items<'a> {
         });
     }
 
-    /// Puts the items in a box into a list that is sorted by size.
+    /// Opens box `id`, and inserts the numbers of its items into a list that is sorted by solid angle.
     pub fn open(&mut self, id: u32, list: &mut Vec<u32>) {
         let (first, count) = self.inside(id);
         for k in first..first + count {
@@ -279,12 +290,13 @@ impl<'a> Items<'a> {
         }
     }
 
-    /// The items in a box, by their places among the children.
+    /// Opens a box if it is not open, and returns its items in `children`: the index of the first entry, and
+    /// the number of entries.
     fn inside(&mut self, id: u32) -> (u32, u32) {
         if let Some(found) = self.opened[id as usize] {
             return found;
         }
-        let What::Box(node) = self.items[id as usize].what else {
+        let ItemKind::Box(node) = self.items[id as usize].what else {
             return (0, 0);
         };
         let mut found = Vec::new();
@@ -300,14 +312,14 @@ impl<'a> Items<'a> {
         range
     }
 
-    /// Whether corners are all at or below the horizon of every point.
+    /// Returns true if all corners are at or below the horizon of every receiver.
     fn is_below(&self, corners: &[DVec3]) -> bool {
         self.source
             .normal
             .is_some_and(|n| corners.iter().all(|c| n.dot(*c) <= self.source.lowest))
     }
 
-    fn add(&mut self, corners: &[DVec3], weight: f64, what: What) -> u32 {
+    fn add(&mut self, corners: &[DVec3], weight: f64, what: ItemKind) -> u32 {
         let first = self.points.len() as u32;
         self.points.extend(corners);
         let far = corners.iter().fold(0.0f64, |far, c| far.max(c.length())) + self.source.radius;
@@ -339,7 +351,7 @@ impl<'a> Items<'a> {
         } else {
             half * half / (away * away)
         };
-        Some(self.add(&corners, weight, What::Box(node)))
+        Some(self.add(&corners, weight, ItemKind::Box(node)))
     }
 
     fn add_face(&mut self, polygon: u32) -> Option<u32> {
@@ -356,7 +368,7 @@ impl<'a> Items<'a> {
         if self.is_below(&corners) || self.reach.is_beyond(&corners) {
             return None;
         }
-        // The two edges from the first corner that make the largest triangle.
+        // Use the two edges from the first corner that span the largest triangle.
         let at = corners[0];
         let (mut normal, mut size, mut sum) = (DVec3::ZERO, 0.0, DVec3::ZERO);
         for pair in corners[1..].windows(2) {
@@ -371,7 +383,8 @@ impl<'a> Items<'a> {
         if reach.is_finite() && distance(DVec3::ZERO, &corners, normal) > reach * (1.0 + 1e-9) {
             return None;
         }
-        // Differences, products and sums: as `sightline_geometry::predicates::orient3d_sign`.
+        // The bound counts differences, products and sums, as in
+        // `sightline_geometry::predicates::orient3d_sign`.
         let error = 16.0 * U * size;
         let mut sides = [false; 2];
         let mut unsure = false;
@@ -385,25 +398,25 @@ impl<'a> Items<'a> {
             }
         }
         if unsure && sides == [false; 2] {
-            // Its plane holds every point.
+            // The plane of the face contains every receiver.
             return None;
         }
         let from = if unsure || sides[0] == sides[1] {
-            From::Both
+            SourceSide::Both
         } else {
-            From::Side(sides[1])
+            SourceSide::Side(sides[1])
         };
         let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
         let away = middle.length().max(self.source.radius * 0.5);
         let seen = (sum.dot(middle) * 0.5).abs() / (away * away * away);
         let within = match self.reach {
-            Reach::Distance(most) => {
+            HidingRange::Distance(most) => {
                 let ways = corners
                     .iter()
                     .flat_map(|c| self.source.corners.iter().map(move |s| (*c - *s).length()));
                 ways.fold(0.0f64, f64::max) + self.source.slack < most * (1.0 - 1e-12)
             }
-            Reach::Light { normal, at, slack } => {
+            HidingRange::Light { normal, at, slack } => {
                 corners.iter().all(|c| normal.dot(*c - at) < -slack)
             }
         };
@@ -418,6 +431,6 @@ impl<'a> Items<'a> {
             from,
             within,
         });
-        Some(self.add(&corners, seen, What::Face(face)))
+        Some(self.add(&corners, seen, ItemKind::Face(face)))
     }
 }

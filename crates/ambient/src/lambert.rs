@@ -1,10 +1,10 @@
-//! Lambert's formula: the cosine-weighted area of a part of the sphere of directions (Apostu et al.,
-//! "Analytic Ambient Occlusion using Exact from-Polygon Visibility", equation 2), for polygons and for what
-//! circles leave of them.
+//! Lambert's formula: the cosine-weighted area of a polygon on the sphere of directions, and of the part of a
+//! polygon outside spherical caps (Apostu et al., "Analytic Ambient Occlusion using Exact from-Polygon
+//! Visibility", equation 2).
 //!
 //! By Stokes' theorem ∫ ω dω = ½ ∮ r × dr along the border. An arc of a great circle adds half its angle
-//! times the unit normal of its plane; an arc of a circle about an axis has a closed form too, so that the
-//! circle of directions in which a plane is at a given distance is integrated as it is (section 4.3 there),
+//! times the unit normal of its plane. An arc of a circle about an axis has a closed form, too. So the circle
+//! of directions in which a plane is at a given distance is integrated exactly (section 4.3 of the paper),
 //! and not by chords.
 
 use std::f64::consts::TAU;
@@ -13,32 +13,35 @@ use glam::DVec3;
 
 use crate::polygon::Corner;
 
-/// The directions in which a plane is nearer than the distance: ω with axis·ω > cosine.
+/// A spherical cap: the directions ω with axis·ω > cosine. In these directions, a plane is nearer to the
+/// point than a distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cap {
-    /// Unit vector from the point towards the plane.
+    /// The unit vector from the point towards the plane, at a right angle to the plane.
     pub axis: DVec3,
-    /// Height of the point over the plane, by the distance: above 0 and below 1.
+    /// The cosine of the cap's angular radius: the height of the point over the plane, divided by the
+    /// distance. Above 0 and below 1.
     pub cosine: f64,
 }
 
-/// How a polygon lies with respect to a cap.
+/// The position of a polygon with respect to a cap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Covered {
-    /// It lies in it.
+pub enum CapCoverage {
+    /// The polygon lies in the cap.
     All,
-    /// It has no point in it.
+    /// The polygon and the cap are disjoint.
     None,
-    /// Neither, as far as is known.
+    /// The polygon may lie partly in the cap.
     Part,
 }
 
-/// The angle between two vectors with this cross product and this dot product.
+/// Computes the angle between two vectors from the length of their cross product and their dot product, in
+/// radians.
 fn angle(cross: f64, dot: f64) -> f64 {
     libm::atan2(cross, dot)
 }
 
-/// What an arc of a great circle from `v` to `w` adds, before the division by 2π.
+/// Computes 2π times the contribution to [`cosine`] of an arc of a great circle from `v` to `w`.
 fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
     let c = v.cross(w);
     let size = c.length();
@@ -49,8 +52,8 @@ fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
     }
 }
 
-/// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than
-/// three corners have none.
+/// Computes the area of a polygon, weighted by the cosine of the angle to the unit normal `n` and divided by
+/// π. The result is 1 for the hemisphere over `n`, and 0 for a polygon of fewer than three corners.
 pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
     let [.., last] = corners else { return 0.0 };
     let mut v = last.at;
@@ -63,41 +66,41 @@ pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
 }
 
 impl Cap {
-    /// How a convex polygon lies with respect to the cap.
-    pub fn covers(&self, corners: &[Corner]) -> Covered {
+    /// Returns the position of a convex polygon with respect to the cap.
+    pub fn covers(&self, corners: &[Corner]) -> CapCoverage {
         let inside = corners
             .iter()
             .filter(|v| self.axis.dot(v.at) >= self.cosine)
             .count();
-        // A cap is convex.
+        // A cap is convex, so a cap that contains all corners of a polygon contains the polygon.
         if inside == corners.len() {
-            return Covered::All;
+            return CapCoverage::All;
         }
         if inside > 0 {
-            return Covered::Part;
+            return CapCoverage::Part;
         }
         let mut centred = true;
         let limit = 1.0 - self.cosine * self.cosine;
         for (i, v) in corners.iter().enumerate() {
             let height = v.border.dot(self.axis);
             centred &= height >= 0.0;
-            // The nearest direction of the great circle is at the cosine √(1 − height²).
+            // The direction of the border's great circle nearest to the axis has the cosine √(1 − height²).
             if height * height < limit {
                 let near = self.axis - v.border * height;
                 let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
                 if v.at.cross(near).dot(v.border) >= 0.0 && near.cross(w).dot(v.border) >= 0.0 {
-                    return Covered::Part;
+                    return CapCoverage::Part;
                 }
             }
         }
         if centred {
-            Covered::Part
+            CapCoverage::Part
         } else {
-            Covered::None
+            CapCoverage::None
         }
     }
 
-    /// Whether the cap holds another one, but for a border narrower than `slack`.
+    /// Returns true if the cap contains another cap, except for a border narrower than `slack` radians.
     pub fn holds(&self, other: &Self, slack: f64) -> bool {
         let between = angle(
             self.axis.cross(other.axis).length(),
@@ -106,18 +109,19 @@ impl Cap {
         between + libm::acos(other.cosine) <= libm::acos(self.cosine) + slack
     }
 
-    /// The sine of its radius.
+    /// Returns the sine of the cap's angular radius.
     pub fn sine(&self) -> f64 {
         ((1.0 - self.cosine) * (1.0 + self.cosine)).sqrt()
     }
 
-    /// The direction of its circle at an angle from `u` to `v`, which [`Cap::across`] gives.
+    /// Returns the direction on the cap's circle at an angle, in radians, from `u` towards `v`.
+    /// [`Cap::across`] returns `u` and `v`.
     pub fn on_circle(&self, u: DVec3, v: DVec3, angle: f64) -> DVec3 {
         let (sin, cos) = libm::sincos(angle);
         self.axis * self.cosine + (u * cos + v * sin) * self.sine()
     }
 
-    /// Two unit vectors across the axis, so that (u, v, axis) is right-handed.
+    /// Returns two unit vectors u and v at right angles to the axis, so that (u, v, axis) is right-handed.
     pub fn across(&self) -> (DVec3, DVec3) {
         let (u, v) = self.axis.any_orthonormal_pair();
         if u.cross(v).dot(self.axis) > 0.0 {
@@ -128,20 +132,22 @@ impl Cap {
     }
 }
 
-/// Circles that come nearer to a tangency than this, as a share of what it takes, are taken not to cross.
-/// What such two cut off each other is less than the power 3/2 of it.
+/// The relative distance from a tangency below which two circles count as not crossing. The distance is
+/// relative to the smaller squared radius. The area that two such circles cut off each other is less than the
+/// power 3/2 of this constant.
 const TANGENT: f64 = 1e-10;
 
-/// The directions p with a·p = `at_a` and b·p = `at_b`, for unit vectors a and b: where two circles cross.
+/// Computes the directions p with a·p = `at_a` and b·p = `at_b`, for unit vectors a and b: the crossings of
+/// two circles.
 ///
-/// Both circles take the same two directions, so that a border that leaves one of them goes on along the
-/// other from where it left. Angles that each circle finds by itself differ by the root of a rounding near a
-/// tangency.
+/// Both circles use the same two crossings, so a border that leaves one circle continues along the other
+/// circle from the same direction. Near a tangency, angles that are computed for each circle separately
+/// differ by the root of a rounding error. Returns `None` if the circles do not cross.
 pub fn crossing(a: DVec3, at_a: f64, b: DVec3, at_b: f64) -> Option<[DVec3; 2]> {
     let across = a.cross(b);
     let size = across.length_squared();
-    // p = along + across t with along in the plane of a and b: x a + y b with x + g y = at_a and g x + y =
-    // at_b.
+    // p = along + across t, where along lies in the plane of a and b: x a + y b with x + g y = at_a and g x +
+    // y = at_b.
     let g = a.dot(b);
     let along = (a * (at_a - g * at_b) + b * (at_b - g * at_a)) / size;
     let rest = 1.0 - along.length_squared();
@@ -153,13 +159,14 @@ pub fn crossing(a: DVec3, at_a: f64, b: DVec3, at_b: f64) -> Option<[DVec3; 2]> 
     Some([along - reach, along + reach])
 }
 
-/// An angle between 0 and 2π.
+/// Returns an angle plus a multiple of 2π, so that the sum is at least 0 and less than 2π.
 fn turned(t: f64) -> f64 {
     let t = t.rem_euclid(TAU);
     if t < TAU { t } else { 0.0 }
 }
 
-/// [`cosine`] of a convex polygon without some caps, none of which holds another or equals it.
+/// Computes [`cosine`] of the part of a convex polygon outside all `caps`. No cap may contain or equal
+/// another cap. `scratch` is reused memory.
 pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut Vec<f64>) -> f64 {
     let whole = cosine(n, corners);
     if caps.is_empty() {
@@ -174,11 +181,13 @@ pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut 
     for k in 0..caps.len() {
         sum -= border(n, corners, caps, k, scratch);
     }
-    // Where circles touch borders, an arc may count in one of the two sums alone.
+    // If a circle touches a border, the sum over borders or the sum over circles may count an arc that the
+    // other sum misses.
     (sum / TAU).clamp(0.0, whole.max(0.0))
 }
 
-/// The length of the part outside of all caps of the border that starts at a corner.
+/// Computes the length, in radians, of the part of a border outside all caps. The border starts at `corner`
+/// and is `length` radians long.
 fn outside(corner: &Corner, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f64 {
     let (v, w) = (corner.at, corner.border.cross(corner.at));
     cuts.clear();
@@ -207,8 +216,8 @@ fn outside(corner: &Corner, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f
     sum
 }
 
-/// What the circle of cap `k`, turning to the left about its axis, adds where it lies in the polygon and
-/// outside of the other caps.
+/// Computes 2π times the contribution to [`cosine_without`] of the arcs of cap `k`'s circle that are inside
+/// the polygon and outside the other caps. The circle runs counter-clockwise about its axis.
 fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
     let cap = caps[k];
     let (u, v) = cap.across();
@@ -224,7 +233,7 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
             .for_each(&mut cut);
     }
     for (j, other) in others() {
-        // In the same order from both sides.
+        // Use the same order for both caps of a pair, so that both get the same crossings.
         let (one, two) = if j < k { (other, &cap) } else { (&cap, other) };
         crossing(one.axis, one.cosine, two.axis, two.cosine)
             .into_iter()
@@ -232,7 +241,7 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
             .for_each(&mut cut);
     }
     cuts.sort_unstable_by(f64::total_cmp);
-    // From the last cut round to the first.
+    // The first arc extends from the last cut around to the first cut.
     let mut from = cuts.last().map_or(0.0, |t| t - TAU);
     if cuts.is_empty() {
         cuts.push(TAU);
@@ -265,13 +274,13 @@ mod tests {
     }
 
     #[test]
-    fn the_hemisphere_is_one() {
+    fn hemisphere_has_area_one() {
         let sum: f64 = quadrants().iter().map(|q| cosine(DVec3::Z, q)).sum();
         assert!((sum - 1.0).abs() < 1e-15, "{sum}");
     }
 
     #[test]
-    fn a_cap_about_the_normal_takes_its_sine_squared() {
+    fn cap_about_normal_removes_sine_squared() {
         let mut scratch = Vec::new();
         for cosine in [0.1, 0.5, 0.9, 0.999] {
             let caps = [Cap {
@@ -286,9 +295,10 @@ mod tests {
         }
     }
 
-    /// Caps anywhere, also beyond the horizon and over each other, against a sum over many small cells.
+    /// Compares caps at various positions, also beyond the horizon and overlapping, with a sum over many
+    /// small cells.
     #[test]
-    fn caps_anywhere_are_integrated() {
+    fn cap_integrals_match_sum_over_cells() {
         let caps = [
             Cap {
                 axis: DVec3::new(0.6, 0.0, 0.8),
@@ -310,7 +320,7 @@ mod tests {
             .sum();
         let (steps, mut sum) = (2000, 0.0);
         for i in 0..steps {
-            // Equal cells in sin²θ and φ have equal cosine-weighted areas.
+            // Cells of equal size in sin²θ and φ have equal cosine-weighted areas.
             let s = (f64::from(i) + 0.5) / f64::from(steps);
             let (sin, cos) = (s.sqrt(), (1.0 - s).sqrt());
             for j in 0..steps {
@@ -324,16 +334,25 @@ mod tests {
     }
 
     #[test]
-    fn a_cap_knows_what_it_covers() {
+    fn cap_covers_all_part_or_none_of_polygon() {
         let octant = polygon(&[DVec3::Z, DVec3::X, DVec3::Y]);
         let cap = |axis: [f64; 3], cosine| Cap {
             axis: DVec3::from(axis).normalize(),
             cosine,
         };
-        assert_eq!(cap([1.0, 1.0, 1.0], 0.9).covers(&octant), Covered::Part);
-        assert_eq!(cap([1.0, 1.0, 1.0], 0.5).covers(&octant), Covered::All);
-        assert_eq!(cap([1.0, 1.0, -1.0], 0.99).covers(&octant), Covered::None);
-        assert_eq!(cap([1.0, 1.0, -0.1], 0.99).covers(&octant), Covered::Part);
-        assert_eq!(cap([-1.0, -1.0, -1.0], 0.1).covers(&octant), Covered::None);
+        assert_eq!(cap([1.0, 1.0, 1.0], 0.9).covers(&octant), CapCoverage::Part);
+        assert_eq!(cap([1.0, 1.0, 1.0], 0.5).covers(&octant), CapCoverage::All);
+        assert_eq!(
+            cap([1.0, 1.0, -1.0], 0.99).covers(&octant),
+            CapCoverage::None
+        );
+        assert_eq!(
+            cap([1.0, 1.0, -0.1], 0.99).covers(&octant),
+            CapCoverage::Part
+        );
+        assert_eq!(
+            cap([-1.0, -1.0, -1.0], 0.1).covers(&octant),
+            CapCoverage::None
+        );
     }
 }

@@ -1,30 +1,33 @@
-//! What a masked triangle hides: the convex polygons of its texels that block, cut out of the triangle.
+//! The occluders of a masked triangle: the convex polygons of the triangle under opaque texels of its mask.
 
 use glam::DVec3;
 use sightline_scene::masks::{Coordinates, Mask};
 
-/// Most texels that a triangle may lie over. A texture that is repeated more often is no mask of leaves or
-/// wires.
+/// Maximum number of texels under all masked triangles of a scene. A texture with more repetitions is not a
+/// mask of leaves or wires.
 const MOST_TEXELS: f64 = 16_777_216.0;
 
-/// A corner: where it is, and its texture coordinates in texels.
+/// A corner of a masked triangle: its position, and its texture coordinates in texels.
 #[derive(Clone, Copy)]
 struct MaskedCorner {
     at: DVec3,
     texel: [f64; 2],
 }
 
-/// The polygons of the texels of a triangle that block: rows of neighbours, and rows of equal extent joined.
-/// None when the triangle lies over too many texels.
+/// Computes the polygons of a triangle, with the corners `v`, under blocking texels. Each polygon is under a
+/// rectangle of texels: neighbouring texels of a row are joined, and then rows of equal extent.
+///
+/// Adds the number of texels in the rectangle around the triangle to `texels`. Returns `None` if the sum
+/// exceeds [`MOST_TEXELS`].
 pub fn polygons(
     v: [DVec3; 3],
     mask: &Mask,
-    of: &Coordinates,
+    coordinates: &Coordinates,
     texels: &mut f64,
 ) -> Option<Vec<Vec<DVec3>>> {
     let size = mask.size().map(f64::from);
     let corners: [MaskedCorner; 3] = std::array::from_fn(|k| {
-        let texel = std::array::from_fn(|a| f64::from(of[k][a]) * size[a]);
+        let texel = std::array::from_fn(|a| f64::from(coordinates[k][a]) * size[a]);
         MaskedCorner { at: v[k], texel }
     });
     let range = |a: usize| {
@@ -43,7 +46,8 @@ pub fn polygons(
     }
     let blocks = |x: f64, y: f64| mask.blocks([(x + 0.5) / size[0], (y + 0.5) / size[1]]);
     let mut found = Vec::new();
-    // Runs of the row before, with the row in which each began.
+    // The runs of blocking texels in the previous row: first column, last column plus 1, and the row in which
+    // the rectangle of the run begins.
     let mut open: Vec<([f64; 2], f64)> = Vec::new();
     for row in 0..=height as u32 {
         let y = y0 + f64::from(row);
@@ -76,7 +80,8 @@ pub fn polygons(
     Some(found)
 }
 
-/// The part of a triangle over some texels, if it has three corners.
+/// Computes the part of a triangle under the texels from `x[0]` to `x[1]` and from `y[0]` to `y[1]`. Returns
+/// `None` if the part has no area.
 fn cut(triangle: &[MaskedCorner; 3], x: [f64; 2], y: [f64; 2]) -> Option<Vec<DVec3>> {
     let mut polygon = triangle.to_vec();
     for (axis, [from, to]) in [(0, x), (1, y)] {

@@ -1,46 +1,47 @@
-//! The free share of a point's hemisphere (equation 1 of the paper): the sum of Lambert's formula over what
-//! meets nothing within the distance.
+//! The openness of a receiver (equation 1 of the paper): the sum of Lambert's formula over the parts of the
+//! hemisphere that meet no triangle within the distance.
 
 use glam::DVec3;
 use sightline_geometry::rounding::UNIT as U;
 
-use crate::descend::{Ends, Rays, Scratch};
+use crate::descent::{PartSink, RayPartition, Scratch};
 use crate::lambert::{Cap, cosine_without};
 use crate::polygon::Corner;
 use crate::receivers::Receiver;
 
-/// What is known of a receiver.
+/// The openness of a receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Openness {
-    /// The free share of its hemisphere, weighted by the cosine: 0 to 1.
+    /// The free fraction of the receiver's hemisphere, weighted by the cosine, from 0 to 1.
     pub open: f64,
-    /// Bound on what rounding can have changed.
+    /// A bound on the effect of rounding errors on `open`.
     pub bound: f64,
-    /// The occluders (convex polygons of joined triangles) that hide a part of the hemisphere.
+    /// The number of occluders (convex polygons of joined triangles) that hide a part of the hemisphere.
     pub occluders: u32,
-    /// The parts into which the hemisphere was divided.
+    /// The number of parts into which the hemisphere was divided.
     pub parts: u32,
 }
 
-/// The faces that hid something, by query.
+/// The faces that hid a part of a hemisphere: for each face, the number of the last query in which the face
+/// hid a part.
 #[derive(Default)]
-pub struct Seen {
+pub struct SeenFaces {
     last: Vec<u64>,
     query: u64,
 }
 
-impl Seen {
-    /// Begins another query.
+impl SeenFaces {
+    /// Begins the next query. All faces are new in this query.
     pub fn begin(&mut self) {
         self.query += 1;
     }
 
-    /// Forgets all; the faces are others now.
+    /// Removes all faces. Call this before the face numbers of other [`Items`](crate::items::Items).
     pub fn clear(&mut self) {
         self.last.clear();
     }
 
-    /// Whether a face is new in this query.
+    /// Returns true if the face is new in this query, and marks the face.
     pub fn is_new(&mut self, face: u32) -> bool {
         if self.last.len() <= face as usize {
             self.last.resize(face as usize + 1, 0);
@@ -49,7 +50,7 @@ impl Seen {
     }
 }
 
-/// The quarters of the hemisphere over a unit vector.
+/// Returns the quarters of the hemisphere over a unit vector, as spherical triangles.
 pub fn quarters(n: DVec3) -> [[Corner; 3]; 4] {
     let (u, v) = n.any_orthonormal_pair();
     let v = if u.cross(v).dot(n) > 0.0 { v } else { -v };
@@ -60,15 +61,15 @@ pub fn quarters(n: DVec3) -> [[Corner; 3]; 4] {
     })
 }
 
-/// Adds up what is free.
+/// The sum over the free parts of a receiver's hemisphere.
 struct OpennessSum<'a> {
     n: DVec3,
     answer: Openness,
-    seen: &'a mut Seen,
+    seen: &'a mut SeenFaces,
     cuts: &'a mut Vec<f64>,
 }
 
-impl Ends for OpennessSum<'_> {
+impl PartSink for OpennessSum<'_> {
     fn free(&mut self, part: &[Corner], caps: &[Cap]) {
         self.answer.open += cosine_without(self.n, part, caps, self.cuts);
         self.answer.parts += 1;
@@ -80,12 +81,14 @@ impl Ends for OpennessSum<'_> {
     }
 }
 
-/// The openness of a receiver of a source, by the partition of a union; none when the descent was given up.
+/// Computes the openness of a receiver of a source, by the partition of a union. Returns `None` if the
+/// descent exceeded [`RayPartition::most_told`].
 pub fn open(
-    rays: &mut Rays<'_, '_>,
+    rays: &mut RayPartition<'_, '_>,
     receiver: &Receiver,
     scratch: &mut Scratch,
-    (seen, cuts): (&mut Seen, &mut Vec<f64>),
+    seen: &mut SeenFaces,
+    cuts: &mut Vec<f64>,
 ) -> Option<Openness> {
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
@@ -102,7 +105,7 @@ pub fn open(
         bound += rays.descend(x, &quarter, scratch, &mut sum)?;
     }
     let mut answer = sum.answer;
-    // Each part's area is a sum of a few angles.
+    // The area of each part is a sum of a few angles with rounding errors.
     answer.bound = bound + f64::from(answer.parts) * 16.0 * U;
     answer.open = answer.open.clamp(0.0, 1.0);
     Some(answer)

@@ -1,10 +1,9 @@
-//! Convex polygons on the sphere of directions, bounded by great circles, and their division by planes
-//! through the point.
+//! Convex polygons on the sphere of directions of a point, bounded by great circles, and their division by
+//! planes through the point.
 //!
-//! A polygon is the list of its corners in the order in which they turn to the left as seen from outside of
-//! the sphere. Each corner has the plane of the border that starts there, so that a border keeps the
-//! direction of the plane that cut it however short it gets: the planes through two near corners would not be
-//! the same.
+//! A polygon is the list of its corners, counter-clockwise as seen from outside the sphere. Each corner
+//! stores the plane of the border that starts at the corner. So a border stores the exact direction of the
+//! plane that cut the polygon; a plane that is computed from two near corners would differ.
 
 use std::f64::consts::PI;
 
@@ -13,14 +12,15 @@ use glam::DVec3;
 /// A corner of a polygon.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
-    /// Its direction, of unit length.
+    /// The direction of the corner, a unit vector.
     pub at: DVec3,
-    /// The plane of the border from here to the next corner: a unit normal, positive inside.
+    /// The unit normal of the plane of the border from this corner to the next corner. The normal points to
+    /// the inside of the polygon.
     pub border: DVec3,
 }
 
-/// The polygon of some corners, none of which is on the border between its neighbours. Corners that are the
-/// next one but for rounding are left out.
+/// Creates the polygon with these corners, which are unit vectors in counter-clockwise order. No corner may
+/// be on the border between its neighbours. Omits a corner that equals the next corner up to rounding.
 pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
     let n = corners.len();
     let next = |i: usize| corners[if i + 1 == n { 0 } else { i + 1 }];
@@ -34,22 +34,23 @@ pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
     (0..n).filter_map(corner).collect()
 }
 
-/// A plane through the point: the directions ω with m·ω = 0. `m` is not of unit length.
+/// A plane through the point: the directions ω with m·ω = 0. `m` can have any length.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
-    /// The normal; the positive side is the inner one.
+    /// The normal, which points to the inner side. The inner side is the positive side.
     pub m: DVec3,
-    /// Bound on the error of m·v for a unit vector v.
+    /// A bound on the error of m·v for a unit vector v.
     pub error: f64,
 }
 
 impl Plane {
-    /// Bound on the cosine-weighted area, divided by π, of a polygon's part that the plane's error can move
-    /// from one side to the other.
+    /// Bounds the cosine-weighted area, divided by π, that the plane's error can move between the sides of a
+    /// polygon.
     ///
-    /// The true plane differs by an angle of at most error / |m|, so the two differ within the polygon by
-    /// strips of at most that width, whose length is at most half of the polygon's outline and so twice its
-    /// extent; and by no more than the polygon.
+    /// The true plane differs by an angle of at most error / |m|. So the two planes differ within the polygon
+    /// by strips of at most that width. A strip is at most as long as half of the polygon's border, and this
+    /// half is at most twice as long as the polygon's extent. The area is also at most the area of the
+    /// polygon.
     pub fn uncertain(&self, corners: &[Corner]) -> f64 {
         let Some(first) = corners.first() else {
             return 0.0;
@@ -63,7 +64,7 @@ impl Plane {
         } else {
             1.0
         };
-        // The area costs more to know.
+        // Avoid the polygon's area if possible, because it is more expensive to compute.
         if strip < LITTLE {
             strip
         } else {
@@ -72,36 +73,38 @@ impl Plane {
     }
 }
 
-/// Strips of less area are not compared with the polygon's.
+/// The area of a strip, divided by π, below which [`Plane::uncertain`] does not compute the polygon's area.
 const LITTLE: f64 = 1e-13;
 
-/// Bound on the area of a polygon of at most a quarter of the sphere, divided by π: that of the triangles of
-/// a fan on the planes through their first corners, which stand over them.
+/// Bounds the area, divided by π, of a polygon of at most a quarter of the sphere. The bound is the sum over
+/// the triangles of a fan from the first corner, on the planes through their corners.
 fn most_area(corners: &[Corner]) -> f64 {
     let [first, rest @ ..] = corners else {
         return 0.0;
     };
     let fan = rest.windows(2).map(|w| {
         let (p, q) = (w[0].at - first.at, w[1].at - first.at);
-        // A spherical triangle of a quarter of the sphere is less than 3 times as large as its flat one.
+        // A spherical triangle within a quarter of the sphere has less than 3 times the area of its flat
+        // triangle.
         p.cross(q).length() * 0.5 * 3.0
     });
-    // What rounding hides from the products.
+    // The constant covers the rounding errors of the products.
     fan.sum::<f64>() / PI + 1e-15
 }
 
-/// Where a polygon lies with respect to a plane.
+/// The position of a polygon with respect to a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// On the positive side; `true` if it is so only within the plane's error.
+    /// The polygon is on the positive side. The flag is true if a corner is within the plane's error.
     Inside(bool),
-    /// On the negative side, likewise.
+    /// The polygon is on the negative side. The flag is true if a corner is within the plane's error.
     Outside(bool),
-    /// On both.
+    /// The polygon is on both sides of the plane.
     Both,
 }
 
-/// On which side of the plane the polygon lies. `values` gets m·v for its corners.
+/// Returns the side of the plane on which the polygon lies. Stores the products of `plane.m` and the corners
+/// in `values`.
 pub fn side(plane: &Plane, corners: &[Corner], values: &mut Vec<f64>) -> Side {
     values.clear();
     values.extend(corners.iter().map(|v| plane.m.dot(v.at)));
@@ -120,8 +123,10 @@ pub fn side(plane: &Plane, corners: &[Corner], values: &mut Vec<f64>) -> Side {
     }
 }
 
-/// Divides a polygon that lies on both sides. Corners within the plane's error of it belong to both parts. A
-/// part may have fewer than three corners, and then has no area.
+/// Divides a polygon that lies on both sides of a plane, and appends the corners of the two parts to `inside`
+/// and `outside`. `values` are the products that [`side`] stored.
+///
+/// Corners within the plane's error belong to both parts. A part with fewer than three corners has no area.
 pub fn split(
     plane: &Plane,
     corners: &[Corner],
@@ -151,7 +156,7 @@ pub fn split(
             });
         }
         if (*d > e && f < -e) || (*d < -e && f > e) {
-            // The point of the border from v to w on the plane.
+            // The direction at which the plane divides the border from v to w.
             let at = (v.at * f.abs() + w.at * d.abs()).normalize();
             let (along, across) = (
                 Corner {
@@ -179,7 +184,7 @@ mod tests {
     use crate::lambert::cosine;
 
     proptest! {
-        /// The two parts of an octant have the area of the whole, and each lies on its side.
+        /// The two parts of an octant have the area of the whole octant, and each lies on its side.
         #[test]
         fn parts_add_up(m in prop::array::uniform3(-1.0f64..1.0)) {
             let plane = Plane { m: DVec3::from(m), error: 1e-15 };

@@ -1,48 +1,50 @@
-//! Receivers, and the blocks of them that share a partition of rays.
+//! Receivers, and the blocks of receivers that share a partition of rays.
 
 use glam::DVec3;
 use sightline_geometry::rounding::UNIT as U;
+use sightline_scene::TriangleId;
 
-/// A point whose openness is asked for.
+/// A point whose openness is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Receiver {
     /// The point, in world space.
     pub point: DVec3,
-    /// The normal, of any length but 0. The hemisphere over it counts.
+    /// The normal, of any length but 0. The openness refers to the hemisphere over the normal.
     pub normal: DVec3,
-    /// The triangle it lies on, if it is known: it hides nothing, nor does what lies in its plane and is
-    /// joined to it.
-    pub triangle: Option<u32>,
+    /// The triangle that contains the point, if known. This triangle and the coplanar triangles joined to it
+    /// are ignored.
+    pub triangle: Option<TriangleId>,
 }
 
-/// The convex set S that rays start from: the hull of some corners holds all points of a block, but for a
-/// slack.
+/// The convex set S that rays start from: the hull of some corners, which contains all points of a block
+/// except for a slack.
 #[derive(Clone, Debug)]
-pub struct Source {
-    /// Where coordinates start: a point near the middle, which single precision can hold.
+pub struct ReceiverHull {
+    /// The origin of coordinates: a point near the middle, which single precision can represent.
     pub origin: DVec3,
-    /// The corners, from the origin: one for a point, two for a line, four for a flat block, else eight.
+    /// The corners, relative to the origin: one for a point, two for a line, four for a flat block, otherwise
+    /// eight.
     pub corners: Vec<DVec3>,
-    /// Distance of the farthest corner from the origin.
+    /// Maximum distance of a receiver from the origin: the distance of the farthest corner plus the slack.
     pub radius: f64,
-    /// How far points may lie outside of the hull, and how far they may be off because they are rounded.
+    /// Maximum distance of a receiver from the hull of the corners, which covers rounding errors.
     pub slack: f64,
-    /// The normal of all points, if they have the same.
+    /// The common unit normal of all receivers, if all normals are equal.
     pub normal: Option<DVec3>,
-    /// The least normal·x of a point, from the origin.
+    /// A lower bound of normal·x over the receivers x, relative to the origin.
     pub lowest: f64,
 }
 
-impl Source {
-    /// The hull of some receivers.
+impl ReceiverHull {
+    /// Computes the hull of some receivers.
     pub fn around(receivers: &[Receiver]) -> Self {
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for r in receivers {
             (min, max) = (min.min(r.point), max.max(r.point));
         }
         let origin = ((min + max) * 0.5).as_vec3().as_dvec3();
-        // Rounding of a point's coordinates, of its difference from the origin, and of the turn to a frame
-        // and back.
+        // The slack covers the rounding of a point's coordinates, of its difference from the origin, and of
+        // the rotation to a frame and back.
         let slack =
             4.0 * U * min.abs().max(max.abs()).max_element() + 64.0 * U * (max - min).length();
         let first = receivers.first().map_or(DVec3::Z, |r| r.normal);
@@ -74,15 +76,18 @@ impl Source {
     }
 }
 
-/// The coordinate's bits in a Morton code.
+/// The number of bits of a coordinate in a Morton code.
 const BITS: u32 = 21;
 
-/// Sorts receivers into blocks of at most `most` that lie near each other, on the same triangle if that is
-/// known, and whose extent is at most `size`. The blocks hold the receivers' numbers. They depend on the
-/// receivers alone.
+/// Sorts receivers into blocks of at most `most` receivers, whose extent is at most `size`, in units of the
+/// scene. Returns the blocks as lists of indices into `receivers`.
+///
+/// The receivers of a block are near each other and have equal normals. `polygon` returns the number of the
+/// surface that contains a triangle; the receivers of a block are on one surface, or all on no known surface.
+/// The blocks depend only on the arguments.
 pub fn blocks(
     receivers: &[Receiver],
-    polygon: impl Fn(u32) -> Option<u32>,
+    polygon: impl Fn(TriangleId) -> Option<u32>,
     most: usize,
     size: f64,
 ) -> Vec<Vec<u32>> {
@@ -95,7 +100,7 @@ pub fn blocks(
         let x = x as u64;
         (0..BITS).fold(0u64, |code, bit| code | (x >> bit & 1) << (3 * bit))
     };
-    // Points of one polygon are together, then points of one normal, then neighbours.
+    // Sort by polygon, then by normal, then by Morton code.
     let mut keys: Vec<(Option<u32>, [u64; 3], u64, u32)> = receivers
         .iter()
         .enumerate()
@@ -120,7 +125,7 @@ pub fn blocks(
                 blocks.push(part.iter().map(|key| key.3).collect());
                 continue;
             }
-            // At the highest bit in which the codes differ; equal codes are halved.
+            // Divide at the highest bit in which the codes differ. Halve a group of equal codes.
             let (low, high) = (part[0].2, part[part.len() - 1].2);
             let at = match (low ^ high).checked_ilog2() {
                 Some(bit) => part.partition_point(|key| key.2 >> bit == low >> bit),
@@ -138,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_hold_every_receiver_once() {
+    fn blocks_contain_every_receiver_once() {
         let receivers: Vec<Receiver> = (0..1000)
             .map(|i| {
                 let (x, y) = (f64::from(i % 40), f64::from(i / 40));

@@ -1,51 +1,54 @@
-//! Answers for many receivers, in blocks that share a partition and nothing else. So blocks may be solved in
-//! any order, on any machine, and answers are functions of scene, receivers and settings.
+//! Answers for many receivers, in blocks. The receivers of a block share a partition, and blocks share no
+//! state. So blocks can be solved in any order, on any machine, and answers depend only on scene, receivers
+//! and settings.
 
 use rayon::prelude::*;
 use sightline_scene::{Scene, SceneError};
 
 use crate::blockers::Blockers;
-use crate::descend::{Rays, Scratch};
+use crate::descent::{RayPartition, Scratch};
 use crate::fragments::{Falloff, Fragment, first};
 use crate::inside::Inside;
-use crate::items::{Items, Reach};
+use crate::items::{HidingRange, Items};
 use crate::lights::{Light, factors};
-use crate::openness::{Openness, Seen, open};
-use crate::partition::{Partition, Tells};
-use crate::receivers::{Receiver, Source, blocks};
+use crate::openness::{Openness, SeenFaces, open};
+use crate::partition::{Partition, PartitionUse};
+use crate::receivers::{Receiver, ReceiverHull, blocks};
 
-/// Most receivers of a block.
+/// Maximum number of receivers of a block.
 const BLOCK: usize = 64;
-/// Largest extent of a block, by the distance.
+/// Maximum extent of a block, divided by the distance of the settings.
 const EXTENT: f64 = 0.5;
-/// Boxes that take more of the sphere, in steradians, are opened before the first query.
+/// The solid angle, in steradians, above which boxes of occluders are opened before the first query.
 const OPEN_FAR: f64 = 0.01;
-/// Items that the classes of a block may have been told, by its receivers, before what is left of the block
-/// is divided: where much is near that is small beside the block, its points see too little alike.
+/// Maximum number of list entries per receiver that the classes of a block may receive. If a block exceeds
+/// this number, its unanswered receivers are divided into smaller blocks: many small, near occluders are
+/// visible from few receivers each, so a common partition does not save work.
 const TOLD: usize = 20_000;
-/// Into how many.
+/// The number of smaller blocks into which such a block is divided.
 const DIVISION: usize = 4;
-/// Most bytes of a partition and its items. One that takes more is begun anew.
+/// Maximum memory of a partition and its items, in bytes. A partition that needs more is cleared.
 const BYTES: usize = 48 << 20;
 
-/// What is asked.
+/// The parameters of a [`Solver`].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Distance beyond which nothing hides, in units of the scene; may be infinite.
+pub struct SolverSettings {
+    /// The distance beyond which triangles do not hide directions, in units of the scene. May be infinite.
     pub distance: f64,
-    /// How things darken. The distance must be finite for one with the distance.
+    /// The falloff. If the falloff is not [`Falloff::None`], the distance must be finite.
     pub falloff: Falloff,
-    /// Whether fragments are wanted.
+    /// True if fragments are computed.
     pub fragments: bool,
-    /// Lights whose form factors are wanted. All of the scene may hide them, whatever the distance.
+    /// The lights whose form factors are computed. Every triangle of the scene can hide a light, regardless
+    /// of the distance.
     pub lights: Vec<Light>,
-    /// Most receivers of a block, and its largest extent by the distance. They change times, and answers
-    /// within their bounds.
+    /// Maximum number of receivers of a block, and maximum extent of a block divided by the distance. Both
+    /// affect the running time, and change answers at most by the bounds of the answers.
     pub block: (usize, f64),
 }
 
-impl Settings {
-    /// Openness alone.
+impl SolverSettings {
+    /// Creates settings that request only the openness, without a falloff.
     pub fn new(distance: f64) -> Self {
         Self {
             distance,
@@ -57,33 +60,36 @@ impl Settings {
     }
 }
 
-/// What is known of a receiver.
+/// The results of a receiver.
 #[derive(Clone, Debug, Default)]
-pub struct Answer {
-    /// Its openness.
+pub struct ReceiverResult {
+    /// The openness of the receiver.
     pub openness: Openness,
-    /// Whether it is inside of a closed solid.
+    /// True if the receiver is inside a closed solid.
     pub inside: bool,
-    /// The form factors of the lights.
+    /// The form factors of the lights, in the order of the settings. The bound of `openness` also applies to
+    /// each form factor.
     pub lights: Vec<f64>,
-    /// What is seen first, by triangles, if that was asked for.
+    /// The fragments, if the settings request fragments. The `polygon` of each is the id of a triangle.
     pub fragments: Vec<Fragment>,
 }
 
-/// A scene, prepared.
-pub struct Prepared {
-    /// Joined polygons, for openness and lights.
+/// A scene, prepared for a [`Solver`].
+pub struct AmbientScene {
+    /// The joined polygons, for openness and lights.
     joined: Blockers,
-    /// Triangles by themselves, for fragments.
+    /// The separate triangles, for fragments.
     single: Option<Blockers>,
     inside: Inside,
 }
 
-impl Prepared {
-    /// Prepares a scene, on all of rayon's threads; for fragments as well if they are wanted.
+impl AmbientScene {
+    /// Prepares a scene, on all of rayon's threads. Prepares the scene for fragments, too, if `fragments` is
+    /// true.
     ///
     /// # Errors
-    /// When the scene has more corners than can be numbered, or an alpha texture is repeated too often.
+    /// [`SceneError`] if the scene has more corners than 32-bit numbers can count, or if the masked triangles
+    /// cover more than 2²⁴ texels.
     pub fn new(scene: &Scene, fragments: bool) -> Result<Self, SceneError> {
         let joined = Blockers::new(scene, None)?;
         let single = fragments
@@ -96,60 +102,70 @@ impl Prepared {
         })
     }
 
-    /// Whether a receiver, a hair above its surface, is inside of a closed solid.
+    /// Returns true if a receiver, moved slightly above its surface, is inside a closed solid.
     pub fn is_inside(&self, receiver: &Receiver) -> bool {
         self.inside.holds(receiver)
     }
 }
 
-/// Answers questions about a scene.
+/// A solver of the openness, fragments and form factors of receivers in a scene.
 pub struct Solver<'a> {
-    prepared: &'a Prepared,
-    settings: Settings,
+    prepared: &'a AmbientScene,
+    settings: SolverSettings,
 }
 
-/// What blocks can use again.
+/// The reusable memory of blocks.
 #[derive(Default)]
-pub struct Memory {
+pub struct BlockMemory {
     scratch: Scratch,
-    seen: Seen,
+    seen: SeenFaces,
     cuts: Vec<f64>,
 }
 
 impl<'a> Solver<'a> {
-    /// Answers with these settings. Fragments are told only of a scene that is prepared for them.
-    pub fn new(prepared: &'a Prepared, settings: Settings) -> Self {
+    /// Creates a solver with these settings. The solver computes fragments only if the scene is prepared for
+    /// fragments.
+    pub fn new(prepared: &'a AmbientScene, settings: SolverSettings) -> Self {
         let fragments = settings.fragments && prepared.single.is_some();
         Self {
             prepared,
-            settings: Settings {
+            settings: SolverSettings {
                 fragments,
                 ..settings
             },
         }
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &Settings {
+    /// Returns the settings of the solver.
+    pub fn settings(&self) -> &SolverSettings {
         &self.settings
     }
 
-    /// The blocks of some receivers: lists of their numbers.
+    /// Divides receivers into blocks: lists of indices into `receivers`.
     pub fn blocks(&self, receivers: &[Receiver]) -> Vec<Vec<u32>> {
         let (most, extent) = self.settings.block;
         let size = self.settings.distance * extent;
-        blocks(receivers, |t| self.prepared.joined.of(t), most, size)
+        blocks(
+            receivers,
+            |t| self.prepared.joined.triangle_surface(t),
+            most,
+            size,
+        )
     }
 
-    /// Answers for all receivers, in their order, on all of rayon's threads. `done` is told of how many more
-    /// there are answers.
-    pub fn solve(&self, receivers: &[Receiver], done: impl Fn(usize) + Sync) -> Vec<Answer> {
+    /// Computes the answers for all receivers, in the order of `receivers`, on all of rayon's threads. Calls
+    /// `done` after each block with the number of receivers of the block.
+    pub fn solve(
+        &self,
+        receivers: &[Receiver],
+        done: impl Fn(usize) + Sync,
+    ) -> Vec<ReceiverResult> {
         let blocks = self.blocks(receivers);
-        let answers: Vec<Vec<Answer>> = blocks
+        let answers: Vec<Vec<ReceiverResult>> = blocks
             .par_iter()
-            // Some take much longer than others.
+            // The durations of blocks differ widely, so each thread requests one block at a time.
             .with_max_len(1)
-            .map_init(Memory::default, |memory, block| {
+            .map_init(BlockMemory::default, |memory, block| {
                 let receivers: Vec<Receiver> =
                     block.iter().map(|i| receivers[*i as usize]).collect();
                 let answers = self.block(&receivers, memory);
@@ -157,7 +173,7 @@ impl<'a> Solver<'a> {
                 answers
             })
             .collect();
-        let mut all = vec![Answer::default(); receivers.len()];
+        let mut all = vec![ReceiverResult::default(); receivers.len()];
         for (i, answer) in blocks
             .into_iter()
             .flatten()
@@ -168,10 +184,14 @@ impl<'a> Solver<'a> {
         all
     }
 
-    /// Answers for the receivers of one block, in their order. Those on different surfaces share nothing.
-    pub fn block(&self, receivers: &[Receiver], memory: &mut Memory) -> Vec<Answer> {
+    /// Computes the answers for the receivers of one block, in the order of `receivers`. Receivers on
+    /// different surfaces do not share a partition.
+    pub fn block(&self, receivers: &[Receiver], memory: &mut BlockMemory) -> Vec<ReceiverResult> {
         let mut answers = Vec::new();
-        let surface = |r: &Receiver| r.triangle.and_then(|t| self.prepared.joined.of(t));
+        let surface = |r: &Receiver| {
+            r.triangle
+                .and_then(|t| self.prepared.joined.triangle_surface(t))
+        };
         let runs = receivers.chunk_by(|a, b| surface(a) == surface(b));
         let mut waiting: Vec<&[Receiver]> = runs.collect();
         waiting.reverse();
@@ -186,9 +206,15 @@ impl<'a> Solver<'a> {
         answers
     }
 
-    /// Adds answers for the first receivers of a part of a block: for all, unless they see too little alike.
-    fn part(&self, receivers: &[Receiver], memory: &mut Memory, all: &mut Vec<Answer>) {
-        let Settings {
+    /// Appends the answers for receivers on one surface to `all`, in the order of `receivers`. Stops before
+    /// the first receiver with which the partition exceeds [`TOLD`] list entries per receiver.
+    fn part(
+        &self,
+        receivers: &[Receiver],
+        memory: &mut BlockMemory,
+        all: &mut Vec<ReceiverResult>,
+    ) {
+        let SolverSettings {
             distance,
             falloff,
             fragments,
@@ -202,29 +228,36 @@ impl<'a> Solver<'a> {
             .as_ref()
             .filter(|_| fragments)
             .unwrap_or(joined);
-        let source = Source::around(receivers);
+        let source = ReceiverHull::around(receivers);
         let own = receivers
             .first()
             .and_then(|r| r.triangle)
-            .and_then(|t| joined.of(t));
-        let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
+            .and_then(|t| joined.triangle_surface(t));
+        let mut items = Items::new(blockers, &source, HidingRange::Distance(distance), own);
         let root = items.begin(OPEN_FAR);
-        let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);
-        let Memory {
+        let mut tree = Partition::new(
+            if union {
+                PartitionUse::Union
+            } else {
+                PartitionUse::First
+            },
+            root,
+        );
+        let BlockMemory {
             scratch,
             seen,
             cuts,
         } = memory;
         seen.clear();
-        let mut answers: Vec<Answer> = Vec::new();
-        // One receiver sees alike, whatever it takes.
+        let mut answers: Vec<ReceiverResult> = Vec::new();
+        // A single receiver is never divided, so its lists are not limited.
         let most_told = if receivers.len() > 1 {
             TOLD * receivers.len()
         } else {
             usize::MAX
         };
         for r in receivers {
-            let mut rays = Rays {
+            let mut rays = RayPartition {
                 tree: &mut tree,
                 items: &mut items,
                 source: &source,
@@ -232,14 +265,10 @@ impl<'a> Solver<'a> {
                 most_told,
             };
             let answer = if union {
-                open(&mut rays, r, scratch, (seen, cuts)).map(|openness| (openness, Vec::new()))
+                open(&mut rays, r, scratch, seen, cuts).map(|openness| (openness, Vec::new()))
             } else {
                 first(
-                    &mut rays,
-                    r,
-                    (distance, falloff, fragments),
-                    scratch,
-                    (seen, cuts),
+                    &mut rays, r, distance, falloff, fragments, scratch, seen, cuts,
                 )
             };
             let Some((openness, mut found)) = answer else {
@@ -247,9 +276,9 @@ impl<'a> Solver<'a> {
             };
             found
                 .iter_mut()
-                .for_each(|f| f.polygon = blockers.triangle(f.polygon));
+                .for_each(|f| f.polygon = blockers.triangle(f.polygon).0);
             let inside = self.prepared.is_inside(r);
-            answers.push(Answer {
+            answers.push(ReceiverResult {
                 openness,
                 inside,
                 lights: Vec::new(),
@@ -258,7 +287,7 @@ impl<'a> Solver<'a> {
         }
         let receivers = &receivers[..answers.len()];
         for light in &self.settings.lights {
-            let found = factors(joined, receivers, light, (OPEN_FAR, BYTES), scratch);
+            let found = factors(joined, receivers, light, OPEN_FAR, BYTES, scratch);
             for (answer, (factor, bound)) in answers.iter_mut().zip(found) {
                 answer.lights.push(factor);
                 answer.openness.bound = answer.openness.bound.max(bound);
@@ -278,7 +307,7 @@ mod tests {
 
     use super::*;
 
-    /// Small triangles all around, which few points share.
+    /// Creates small triangles all around, few of which are visible from more than one point.
     fn cloud(count: u32) -> Scene {
         let mut random = SplitMix64::named(&[29]);
         let mut number = || ((random.bits() >> 40) as f32 / (1u32 << 24) as f32) - 0.5;
@@ -298,9 +327,9 @@ mod tests {
     }
 
     #[test]
-    fn items_count_as_memory_and_are_forgotten_between_queries() {
+    fn items_count_as_memory_and_are_cleared_between_queries() {
         let blockers = Blockers::new(&cloud(3000), None).unwrap();
-        // They look all around, so that each opens other boxes.
+        // The receivers look in six directions, so that each query opens other boxes.
         let ways = [
             DVec3::X,
             DVec3::Y,
@@ -314,36 +343,45 @@ mod tests {
             normal,
             triangle: None,
         });
-        let source = Source::around(&receivers);
-        for tells in [Tells::Union, Tells::First] {
+        let source = ReceiverHull::around(&receivers);
+        for tells in [PartitionUse::Union, PartitionUse::First] {
             let solve = |bytes: usize| {
-                let mut items = Items::new(&blockers, &source, Reach::Distance(8.0), None);
+                let mut items = Items::new(&blockers, &source, HidingRange::Distance(8.0), None);
                 let root = items.begin(OPEN_FAR);
                 let begun = items.bytes();
                 let mut tree = Partition::new(tells, root);
-                let Memory {
+                let BlockMemory {
                     mut scratch,
                     mut seen,
                     mut cuts,
-                } = Memory::default();
+                } = BlockMemory::default();
                 let (mut most, mut shrunk, mut answers) = (0, 0, Vec::new());
                 for r in &receivers {
                     let before = items.bytes();
                     let (tree, source, items) = (&mut tree, &source, &mut items);
-                    let mut rays = Rays {
+                    let mut rays = RayPartition {
                         tree,
                         items,
                         source,
                         bytes,
                         most_told: usize::MAX,
                     };
-                    let room = (&mut seen, &mut cuts);
                     answers.push(match tells {
-                        Tells::Union => open(&mut rays, r, &mut scratch, room).unwrap(),
-                        Tells::First => {
-                            first(&mut rays, r, (8.0, Falloff::None, true), &mut scratch, room)
-                                .unwrap()
-                                .0
+                        PartitionUse::Union => {
+                            open(&mut rays, r, &mut scratch, &mut seen, &mut cuts).unwrap()
+                        }
+                        PartitionUse::First => {
+                            let answer = first(
+                                &mut rays,
+                                r,
+                                8.0,
+                                Falloff::None,
+                                true,
+                                &mut scratch,
+                                &mut seen,
+                                &mut cuts,
+                            );
+                            answer.unwrap().0
                         }
                     });
                     most = most.max(items.bytes() + tree.bytes());
@@ -361,7 +399,7 @@ mod tests {
                 "{never} {often}, {less} of {all} bytes"
             );
             for (a, b) in roomy.iter().zip(&tight) {
-                // Which of two occluders ends a class, one behind the other, is the tree's choice.
+                // If one occluder is behind another, the tree determines which of them ends a class.
                 assert!((a.open - b.open).abs() <= a.bound + b.bound, "{a:?} {b:?}");
                 assert!((0.01..0.99).contains(&a.open), "{a:?}");
             }

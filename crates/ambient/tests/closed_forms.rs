@@ -1,4 +1,4 @@
-//! Openness where it is known in closed form, as it is and turned and scaled.
+//! Openness compared with closed forms, in the original frame and in rotated and scaled frames.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -9,10 +9,10 @@ use sightline_ambient::Falloff;
 use sightline_ambient::Light;
 use sightline_ambient::Openness;
 use sightline_ambient::Receiver;
-use sightline_ambient::{Answer, Memory, Prepared, Settings, Solver};
-use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
+use sightline_ambient::{AmbientScene, BlockMemory, ReceiverResult, Solver, SolverSettings};
+use sightline_scene::{Kinds, Object, Scene, SurfaceKind, Triangle, TriangleId};
 
-/// How near a value has to be: coordinates of scenes are rounded to single precision.
+/// The tolerance of values, because scenes round coordinates to single precision.
 const NEAR: f64 = 1e-6;
 
 fn scene(triangles: &[[DVec3; 3]]) -> Scene {
@@ -30,7 +30,7 @@ fn scene(triangles: &[[DVec3; 3]]) -> Scene {
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
-/// The two triangles of a parallelogram.
+/// Creates the two triangles of a parallelogram.
 fn quad(at: DVec3, u: DVec3, v: DVec3) -> [[DVec3; 3]; 2] {
     [[at, at + u, at + u + v], [at, at + u + v, at + v]]
 }
@@ -45,14 +45,18 @@ fn rectangle(min: [f64; 3], max: [f64; 3]) -> Vec<[DVec3; 3]> {
     quad(min, axes[0], axes[1]).to_vec()
 }
 
-fn answer(triangles: &[[DVec3; 3]], settings: Settings, receiver: Receiver) -> Answer {
-    let prepared = Prepared::new(&scene(triangles), settings.fragments).unwrap();
+fn answer(
+    triangles: &[[DVec3; 3]],
+    settings: SolverSettings,
+    receiver: Receiver,
+) -> ReceiverResult {
+    let prepared = AmbientScene::new(&scene(triangles), settings.fragments).unwrap();
     Solver::new(&prepared, settings)
         .solve(&[receiver], |_| {})
         .remove(0)
 }
 
-/// A receiver at the origin that looks up.
+/// Creates a receiver at the origin that looks up.
 fn up() -> Receiver {
     Receiver {
         point: DVec3::ZERO,
@@ -61,7 +65,7 @@ fn up() -> Receiver {
     }
 }
 
-/// The openness of the point at the origin looking up, as it is and in other frames; all must agree.
+/// Computes the openness of the origin looking up, in several frames, and checks that all results agree.
 fn open(triangles: &[[DVec3; 3]], distance: f64) -> f64 {
     open_within(triangles, distance, NEAR)
 }
@@ -81,9 +85,9 @@ fn open_within(triangles: &[[DVec3; 3]], distance: f64, near: f64) -> f64 {
             triangle: None,
         };
         for fragments in [false, true] {
-            let settings = Settings {
+            let settings = SolverSettings {
                 fragments,
-                ..Settings::new(distance * scale)
+                ..SolverSettings::new(distance * scale)
             };
             let answer = answer(&moved, settings, receiver);
             let expected = *first.get_or_insert(answer.openness.open);
@@ -107,8 +111,8 @@ fn assert_near(value: f64, expected: f64) {
 }
 
 #[test]
-fn a_wall_leaves_half_and_more_with_its_distance() {
-    // An endless wall, but for what is missing at both ends: that of Howell's rectangle at a right angle.
+fn endless_wall_matches_closed_form() {
+    // An endless wall, except for the missing ends: the factor of Howell's rectangle at a right angle.
     let (d, h, w) = (2.0f64, 3.0f64, 60.0f64);
     let (x, y) = (h / w, d / w);
     let half = ((1.0 / y).atan() - y / x.hypot(y) * (1.0 / x.hypot(y)).atan()) / (2.0 * PI);
@@ -119,9 +123,9 @@ fn a_wall_leaves_half_and_more_with_its_distance() {
 }
 
 #[test]
-fn rectangles_above_and_beside_have_howells_factors() {
+fn rectangles_have_howells_factors() {
     let (a, b, c) = (2.0f64, 3.0f64, 1.5f64);
-    // Parallel to the receiver, a corner above it (Howell, configuration B-3).
+    // A rectangle parallel to the receiver, with a corner above it (Howell, configuration B-3).
     let (x, y) = (a / c, b / c);
     let (p, q) = (x.hypot(1.0), y.hypot(1.0));
     let above = (x / p * (y / p).atan() + y / q * (x / q).atan()) / (2.0 * PI);
@@ -129,7 +133,7 @@ fn rectangles_above_and_beside_have_howells_factors() {
         open(&rectangle([0.0, 0.0, c], [a, b, c]), f64::INFINITY),
         1.0 - above,
     );
-    // At a right angle to it, its foot at a distance (B-4).
+    // A rectangle at a right angle to the receiver, with its foot at a distance (B-4).
     let (x, y) = (a / b, c / b);
     let beside = ((1.0 / y).atan() - y / x.hypot(y) * (1.0 / x.hypot(y)).atan()) / (2.0 * PI);
     assert_near(
@@ -139,7 +143,7 @@ fn rectangles_above_and_beside_have_howells_factors() {
 }
 
 #[test]
-fn a_polygon_lies_between_its_disks() {
+fn polygon_openness_lies_between_disks() {
     let (r, h, n) = (1.0f64, 2.0f64, 64u32);
     let at = |k: u32| {
         let (y, x) = (f64::from(k) / f64::from(n) * 2.0 * PI).sin_cos();
@@ -155,7 +159,7 @@ fn a_polygon_lies_between_its_disks() {
 }
 
 #[test]
-fn a_sphere_has_its_square_of_distances() {
+fn sphere_matches_closed_form() {
     let (radius, away) = (1.0f64, 3.0f64);
     let tilt = 0.8f64;
     let centre = DVec3::new(away * tilt.sin(), 0.0, away * tilt.cos());
@@ -173,11 +177,11 @@ fn a_sphere_has_its_square_of_distances() {
         }
     }
     all.retain(|t| (t[1] - t[0]).cross(t[2] - t[0]).length() > 1e-9);
-    let value = answer(&all, Settings::new(f64::INFINITY), up())
+    let value = answer(&all, SolverSettings::new(f64::INFINITY), up())
         .openness
         .open;
     let expected = 1.0 - radius * radius * tilt.cos() / (away * away);
-    // Chords lie inside of the sphere.
+    // Chords lie inside the sphere.
     assert!(
         expected <= value && value < expected + 3e-4,
         "{value} {expected}"
@@ -185,8 +189,8 @@ fn a_sphere_has_its_square_of_distances() {
 }
 
 #[test]
-fn a_valley_leaves_the_sky_between_its_slopes() {
-    // A point on the floor between two endless slopes that begin at its sides.
+fn valley_is_open_between_slopes() {
+    // A point on the floor between two endless slopes, which begin at the sides of the floor.
     let (slope, width, long) = (0.9f64, 1.0f64, 1e5f64);
     let far = 1e5;
     let (s, c) = slope.sin_cos();
@@ -217,7 +221,7 @@ fn walls(min: [f64; 3], max: [f64; 3]) -> Vec<[DVec3; 3]> {
 }
 
 #[test]
-fn a_closed_box_is_dark_and_a_hole_lights_it() {
+fn hole_lights_closed_box() {
     let closed = walls([-1.0, -2.0, -0.5], [1.5, 1.0, 2.0]);
     assert!(open(&closed, f64::INFINITY).abs() < 1e-12);
     // The ceiling, z = 2, with a hole of 0.5 by 0.5 above the point's corner.
@@ -240,7 +244,7 @@ fn a_closed_box_is_dark_and_a_hole_lights_it() {
 }
 
 #[test]
-fn slits_are_seen_to_a_thousandth() {
+fn slits_are_exact_to_one_thousandth() {
     for width in [1e-3, 1e-5] {
         // Two plates at height 1 with a slit along y between them.
         let far = 1e4;
@@ -249,10 +253,10 @@ fn slits_are_seen_to_a_thousandth() {
             rectangle([width / 2.0, -far, 1.0], [far, far, 1.0]),
         ]
         .concat();
-        let value = answer(&plates, Settings::new(f64::INFINITY), up())
+        let value = answer(&plates, SolverSettings::new(f64::INFINITY), up())
             .openness
             .open;
-        // The strip's factor, and what the plates leave at the horizon.
+        // The factor of the strip, and the part that the plates leave open at the horizon.
         let half = f64::from((width / 2.0) as f32);
         let strip = half / half.hypot(1.0);
         let beyond = {
@@ -268,7 +272,7 @@ fn slits_are_seen_to_a_thousandth() {
 }
 
 #[test]
-fn what_covers_the_same_picture_again_changes_nothing() {
+fn duplicated_occluders_do_not_change_openness() {
     let one = rectangle([0.5, -1.0, 1.0], [2.0, 1.0, 1.0]);
     let value = open(&one, f64::INFINITY);
     let mut thrice = one.clone();
@@ -276,12 +280,12 @@ fn what_covers_the_same_picture_again_changes_nothing() {
         thrice.extend(one.iter().map(|t| t.map(|v| v * scale)));
     }
     assert_near(open(&thrice, f64::INFINITY), value);
-    // The very same triangles, too.
+    // Identical triangles, too.
     assert_near(open(&[one.clone(), one].concat(), f64::INFINITY), value);
 }
 
 #[test]
-fn crossing_quads_hide_their_union() {
+fn crossing_quads_hide_union() {
     // Two squares that cross along a line above the point, and their union in pieces that do not cross.
     let a = quad(
         DVec3::new(-1.0, -1.0, 1.0),
@@ -308,12 +312,12 @@ fn crossing_quads_hide_their_union() {
 }
 
 #[test]
-fn a_plane_within_the_distance_takes_a_circle() {
+fn near_plane_hides_circle() {
     let (h, d) = (0.7, 2.0);
     let ceiling = rectangle([-10.0, -10.0, h], [10.0, 10.0, h]);
     assert_near(open(&ceiling, d), (h / d) * (h / d));
     assert_near(open(&ceiling, 0.6), 1.0);
-    // Two layers, and a doubled one.
+    // Two layers, and a duplicated layer.
     let two = [
         ceiling.clone(),
         rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]),
@@ -324,7 +328,7 @@ fn a_plane_within_the_distance_takes_a_circle() {
 }
 
 #[test]
-fn a_wall_within_the_distance_takes_a_segment() {
+fn near_wall_hides_circle_segment() {
     let (h, d) = (0.7f64, 2.0f64);
     let wall = rectangle([h, -10.0, 0.0], [h, 10.0, 10.0]);
     let alpha = (h / d).acos();
@@ -335,7 +339,7 @@ fn a_wall_within_the_distance_takes_a_segment() {
 }
 
 #[test]
-fn many_triangles_hide_what_their_square_hides() {
+fn many_triangles_hide_as_much_as_square() {
     let square = rectangle([-0.5, -1.0, 1.0], [1.5, 1.0, 1.0]);
     let value = open(&square, f64::INFINITY);
     // 400 triangles over random points of a grid whose corners were moved within the square.
@@ -371,13 +375,13 @@ fn many_triangles_hide_what_their_square_hides() {
         }
     }
     assert_eq!(all.len(), 392);
-    // Rounded in the turned frames, their common edges stay common.
+    // The rotated frames round the triangles, but shared edges stay shared.
     assert_near(open(&all, f64::INFINITY), value);
     assert_near(open(&all, 1.3), open(&square, 1.3));
 }
 
 #[test]
-fn a_triangle_that_holds_the_point_hides_nothing() {
+fn triangle_that_contains_point_is_ignored() {
     let floor = rectangle([-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]);
     assert_near(open(&floor, f64::INFINITY), 1.0);
     let wall = rectangle([0.0, -1.0, -1.0], [0.0, 1.0, 1.0]);
@@ -385,20 +389,20 @@ fn a_triangle_that_holds_the_point_hides_nothing() {
 }
 
 #[test]
-fn falloff_lightens_by_the_root_of_the_distance() {
+fn sqrt_falloff_matches_closed_form() {
     let (h, d) = (0.7f64, 2.0f64);
     let c = h / d;
     let expected = 4.0 / 3.0 * c.sqrt() - c * c / 3.0;
-    let settings = Settings {
+    let settings = SolverSettings {
         falloff: Falloff::Sqrt,
-        ..Settings::new(d)
+        ..SolverSettings::new(d)
     };
     let ceiling = rectangle([-10.0, -10.0, h], [10.0, 10.0, h]);
     assert_near(
         answer(&ceiling, settings.clone(), up()).openness.open,
         expected,
     );
-    // What is behind it changes nothing, nor does its division, nor what it is doubled by.
+    // Triangles behind the ceiling, and divided or duplicated triangles, do not change the result.
     let mut more = ceiling.clone();
     more.extend(rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]));
     more.extend(rectangle([-1.0, -10.0, h], [10.0, 10.0, h]));
@@ -406,16 +410,16 @@ fn falloff_lightens_by_the_root_of_the_distance() {
 }
 
 #[test]
-fn half_a_light_is_seen_past_a_wall() {
+fn wall_hides_half_of_light() {
     // A square light over the point, and a wall below half of it.
     let (a, h) = (1.0f64, 2.0f64);
     let light = Light::new(&[[-a, -a, h], [a, -a, h], [a, a, h], [-a, a, h]]).unwrap();
     let (x, p) = (a / h, (a / h).hypot(1.0));
     let whole = 4.0 * (2.0 * (x / p * (x / p).atan()) / (2.0 * PI));
     let lit = |triangles: &[[DVec3; 3]]| {
-        let settings = Settings {
+        let settings = SolverSettings {
             lights: vec![light.clone()],
-            ..Settings::new(0.5)
+            ..SolverSettings::new(0.5)
         };
         answer(triangles, settings, up()).lights[0]
     };
@@ -423,8 +427,8 @@ fn half_a_light_is_seen_past_a_wall() {
     assert_near(lit(&aside), whole);
     let half = rectangle([0.0, -5.0, 1.0], [5.0, 5.0, 1.0]);
     assert_near(lit(&half), whole / 2.0);
-    // A wall behind the light hides nothing, one that crosses its plane hides with its nearer part; the
-    // light's own face in the scene hides nothing.
+    // A wall behind the light does not hide it. A wall that crosses its plane hides it with the nearer part.
+    // The light's own face in the scene does not hide it.
     assert_near(lit(&rectangle([-5.0, -5.0, 3.0], [5.0, 5.0, 3.0])), whole);
     assert_near(lit(&rectangle([-a, -a, h], [a, a, h])), whole);
     let crossing = quad(
@@ -437,7 +441,7 @@ fn half_a_light_is_seen_past_a_wall() {
 }
 
 #[test]
-fn points_in_a_closed_solid_are_inside() {
+fn points_in_closed_solid_are_inside() {
     let closed = |outward: bool| {
         let turn = |t: [DVec3; 3]| {
             let (n, c) = ((t[1] - t[0]).cross(t[2] - t[0]), t[0] + t[1] + t[2]);
@@ -455,7 +459,7 @@ fn points_in_a_closed_solid_are_inside() {
     let at = |triangles: &[[DVec3; 3]], point: DVec3, normal: DVec3| {
         answer(
             triangles,
-            Settings::new(f64::INFINITY),
+            SolverSettings::new(f64::INFINITY),
             Receiver {
                 point,
                 normal,
@@ -467,33 +471,33 @@ fn points_in_a_closed_solid_are_inside() {
     let (solid, room) = (closed(true), closed(false));
     assert!(at(&solid, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
     assert!(!at(&solid, DVec3::new(0.1, 0.2, 1.3), DVec3::Z));
-    // On the surface: above it, and below.
+    // The point on the surface: above the surface, and below it.
     assert!(!at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::Z));
     assert!(at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::NEG_Z));
-    // A room is no solid.
+    // A room is not a solid.
     assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
-    // Nor is what a pane closes.
+    // A surface that a see-through pane closes is not a solid either.
     let runs = [
-        (solid.len() as u32 - 1, Kind::Opaque, "a test"),
-        (1, Kind::SeeThrough, "a test"),
+        (solid.len() as u32 - 1, SurfaceKind::Opaque, "a test"),
+        (1, SurfaceKind::SeeThrough, "a test"),
     ];
     let pane = scene(&solid)
         .with_kinds("test", Kinds::from_runs(runs, Vec::new()))
         .unwrap();
-    let prepared = Prepared::new(&pane, false).unwrap();
+    let prepared = AmbientScene::new(&pane, false).unwrap();
     let point = Receiver {
         point: DVec3::new(0.1, 0.2, 0.3),
         normal: DVec3::Z,
         triangle: None,
     };
-    let answer = Solver::new(&prepared, Settings::new(f64::INFINITY))
+    let answer = Solver::new(&prepared, SolverSettings::new(f64::INFINITY))
         .solve(&[point], |_| {})
         .remove(0);
     assert!(!answer.inside);
 }
 
-/// Asserts that a value is right to its own bound, for coordinates that single precision holds.
-fn assert_bounded(answer: &Answer, expected: f64) {
+/// Asserts that an answer is correct within its own bound, for coordinates that single precision represents.
+fn assert_bounded(answer: &ReceiverResult, expected: f64) {
     let Openness { open, bound, .. } = answer.openness;
     assert!(
         (open - expected).abs() <= bound + 1e-15,
@@ -503,13 +507,13 @@ fn assert_bounded(answer: &Answer, expected: f64) {
 }
 
 #[test]
-fn circles_that_touch_borders_are_right_to_their_bounds() {
-    // A ceiling at the height 3 that ends at x = 4, where the circle of the distance 5 does.
+fn circles_that_touch_borders_are_correct_within_bounds() {
+    // A ceiling at height 3 that ends at x = 4, exactly at the circle of the distance 5.
     let ceiling = rectangle([-32.0, -32.0, 3.0], [4.0, 32.0, 3.0]);
     for fragments in [false, true] {
-        let settings = Settings {
+        let settings = SolverSettings {
             fragments,
-            ..Settings::new(5.0)
+            ..SolverSettings::new(5.0)
         };
         assert_bounded(&answer(&ceiling, settings, up()), 0.36);
     }
@@ -520,12 +524,12 @@ fn circles_that_touch_borders_are_right_to_their_bounds() {
         DVec3::new(64.0, 0.0, 48.0),
     );
     let both = [ceiling, tilted.to_vec()].concat();
-    let joint = answer(&both, Settings::new(5.0), up());
+    let joint = answer(&both, SolverSettings::new(5.0), up());
     assert!(joint.openness.open <= 0.36 + joint.openness.bound);
 }
 
 #[test]
-fn large_planes_close_by_are_right_to_their_bounds() {
+fn large_near_planes_are_correct_within_bounds() {
     let (d, height) = (0.125, 0.0625);
     let plane = [[
         DVec3::new(-16384.0, -8192.0, height),
@@ -533,16 +537,17 @@ fn large_planes_close_by_are_right_to_their_bounds() {
         DVec3::new(0.0, 16384.0, height),
     ]];
     for fragments in [false, true] {
-        let settings = Settings {
+        let settings = SolverSettings {
             fragments,
-            ..Settings::new(d)
+            ..SolverSettings::new(d)
         };
         assert_bounded(&answer(&plane, settings, up()), 0.25);
     }
 }
 
-/// Receivers of vertices can lie a rounding away from the edge of a wall on their surface. The plane through
-/// point and edge is known to some 10⁻¹⁵ L/d only.
+/// The bound of a receiver near an edge grows in inverse proportion to the distance from the edge. The
+/// receiver of a vertex can lie one rounding error away from the edge of a wall on its surface. The plane
+/// through point and edge is known only to about 10⁻¹⁵ L/d.
 #[test]
 fn bound_beside_edge_grows_as_distance_shrinks() {
     let (wide, high) = (4.0f64, 8.0f64);
@@ -554,7 +559,7 @@ fn bound_beside_edge_grows_as_distance_shrinks() {
             point: DVec3::new(-d, 0.0, 0.0),
             ..up()
         };
-        let answer = answer(&wall, Settings::new(f64::INFINITY), receiver);
+        let answer = answer(&wall, SolverSettings::new(f64::INFINITY), receiver);
         let slope = d.hypot(high);
         let hidden = ((wide / d).atan() - d / slope * (wide / slope).atan()) / PI;
         assert_bounded(&answer, 1.0 - hidden);
@@ -566,39 +571,40 @@ fn bound_beside_edge_grows_as_distance_shrinks() {
 }
 
 #[test]
-fn triangles_that_points_lie_on_hide_nothing_from_them() {
-    // Single precision has no tenth, so that the points are below the quad.
+fn surface_of_receiver_does_not_hide() {
+    // Single precision cannot represent a tenth, so the points are below the quad.
     let floor = quad(DVec3::new(0.0, 0.0, 0.1), DVec3::X, DVec3::Y);
     let ceiling = quad(DVec3::new(0.0, 0.0, 0.2), DVec3::X, DVec3::Y);
     let at = |x: f64, y: f64, z: f64, normal: DVec3, triangle| Receiver {
         point: DVec3::new(x, y, z),
         normal,
-        triangle: Some(triangle),
+        triangle: Some(TriangleId(triangle)),
     };
     let up = |x, y, triangle| at(x, y, 0.1, DVec3::Z, triangle);
     for fragments in [false, true] {
-        let settings = Settings {
+        let settings = SolverSettings {
             fragments,
-            ..Settings::new(10.0)
+            ..SolverSettings::new(10.0)
         };
-        let prepared = Prepared::new(&scene(&floor), fragments).unwrap();
+        let prepared = AmbientScene::new(&scene(&floor), fragments).unwrap();
         let solver = Solver::new(&prepared, settings.clone());
         for answer in solver.solve(&[up(0.7, 0.2, 0), up(0.2, 0.7, 1)], |_| {}) {
             assert_near(answer.openness.open, 1.0);
         }
-        // A block that nobody should make: the two surfaces hide each other all the same.
-        let prepared = Prepared::new(&scene(&[floor, ceiling].concat()), fragments).unwrap();
+        // A block with receivers on two surfaces, which the solver does not create: the two surfaces still
+        // hide each other.
+        let prepared = AmbientScene::new(&scene(&[floor, ceiling].concat()), fragments).unwrap();
         let solver = Solver::new(&prepared, settings);
         let block = [up(0.5, 0.4, 0), at(0.5, 0.4, 0.2, DVec3::NEG_Z, 2)];
-        for answer in solver.block(&block, &mut Memory::default()) {
+        for answer in solver.block(&block, &mut BlockMemory::default()) {
             assert!(answer.openness.open < 0.2, "{}", answer.openness.open);
         }
     }
 }
 
 #[test]
-fn a_point_on_a_solid_is_not_in_it() {
-    // Its top is at the single-precision tenth, a little above the point.
+fn point_on_solid_is_not_inside() {
+    // The top of the cube is at the single-precision tenth, slightly above the point.
     let cube: Vec<[DVec3; 3]> = walls([0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
         .into_iter()
         .map(|t| {
@@ -615,7 +621,7 @@ fn a_point_on_a_solid_is_not_in_it() {
     let id = cube.iter().position(top).unwrap() as u32;
     let point = DVec3::new(0.03, 0.05, 0.1);
     for (triangle, inside) in [(id, false), (id + 1, false)] {
-        // The one of the two that the point is on.
+        // Select the triangle of the top that contains the point.
         let [a, b, c] = cube[triangle as usize];
         let on = [(a, b), (b, c), (c, a)]
             .iter()
@@ -624,15 +630,18 @@ fn a_point_on_a_solid_is_not_in_it() {
             let receiver = Receiver {
                 point,
                 normal: DVec3::Z,
-                triangle: Some(triangle),
+                triangle: Some(TriangleId(triangle)),
             };
-            assert_eq!(answer(&cube, Settings::new(1.0), receiver).inside, inside);
+            assert_eq!(
+                answer(&cube, SolverSettings::new(1.0), receiver).inside,
+                inside
+            );
         }
     }
 }
 
 #[test]
-fn a_light_with_corners_close_together_is_hidden_as_any() {
+fn light_with_near_corners_is_hidden() {
     let light = Light::new(&[
         [0.0, 0.0, 10.0],
         [1.0, 0.0, 10.0],
@@ -640,9 +649,9 @@ fn a_light_with_corners_close_together_is_hidden_as_any() {
         [0.0, 1e-20, 10.0],
     ])
     .unwrap();
-    let settings = Settings {
+    let settings = SolverSettings {
         lights: vec![light],
-        ..Settings::new(1.0)
+        ..SolverSettings::new(1.0)
     };
     let wall = rectangle([-5.0, -5.0, 5.0], [5.0, 5.0, 5.0]);
     assert!(answer(&wall, settings.clone(), up()).lights[0] < 1e-12);

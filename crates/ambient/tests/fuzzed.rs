@@ -4,7 +4,7 @@
 
 use sightline_ambient::fuzzing::{lights, points};
 
-/// Mutations of each valid file.
+/// The number of mutations of each valid file.
 const ROUNDS: usize = 1500;
 
 const POINTS: &str = r#"{"id":1,"point":[0.5,0.25,0],"normal":[0,0,1],"triangle":1}
@@ -14,7 +14,7 @@ const POINTS: &str = r#"{"id":1,"point":[0.5,0.25,0],"normal":[0,0,1],"triangle"
 const LIGHTS: &str = r#"{"id":"lamp","polygon":[[-1,-1,1],[3,-1,1],[-1,3,1]]}
 {"id":2,"polygon":[[0,0,2],[1,0,2],[1,1,2],[0,1,2]]}
 "#;
-/// Numbers that change what a line means.
+/// Numbers that change the meaning of a line.
 const NUMBERS: &[&str] = &[
     "0",
     "-1",
@@ -42,7 +42,7 @@ const NUMBERS: &[&str] = &[
     "\"x\"",
 ];
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// The generator xorshift64*, which is small and has a fixed sequence for each seed.
 struct Random(u64);
 
 impl Random {
@@ -81,7 +81,7 @@ fn mutate(r: &mut Random, seed: &str) -> Vec<u8> {
                 bytes.splice(at..at, piece);
             }
             _ => {
-                // A number becomes another.
+                // Replace a number by another number.
                 let Some(start) = bytes[at..]
                     .iter()
                     .position(u8::is_ascii_digit)
@@ -117,7 +117,7 @@ fn inputs_that_once_crashed_do_not() {
 }
 
 #[test]
-fn mutated_points_and_lights_have_answers_or_are_refused() {
+fn mutated_points_and_lights_are_answered_or_rejected() {
     for (target, seed) in [(points as fn(&[u8]) -> bool, POINTS), (lights, LIGHTS)] {
         for (s, line) in seed.lines().chain([seed]).enumerate() {
             assert!(target(line.as_bytes()), "{line} must be valid");
@@ -125,7 +125,8 @@ fn mutated_points_and_lights_have_answers_or_are_refused() {
             let taken = (0..ROUNDS)
                 .filter(|_| target(&mutate(&mut r, line)))
                 .count();
-            // Mutations that are all refused, or all taken, would reach little of the code.
+            // If nearly all mutations are rejected, or nearly all accepted, the test reaches little of the
+            // code.
             assert!(
                 (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&taken),
                 "{line}: {taken} of {ROUNDS}"

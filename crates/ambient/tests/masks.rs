@@ -1,19 +1,19 @@
-//! Masked triangles hide where their texels do.
+//! Masked triangles, compared with separate quads for their blocking texels.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use base64::Engine as _;
 use glam::{DVec3, Vec3};
 use serde_json::json;
-use sightline_ambient::{Prepared, Receiver, Settings, Solver};
-use sightline_scene::load::{Options, load_bytes_with};
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_ambient::{AmbientScene, Receiver, Solver, SolverSettings};
+use sightline_scene::load::{LoadOptions, load_bytes_with};
+use sightline_scene::{Object, Scene, Triangle, TriangleId};
 
 const SIZE: [u32; 2] = [5, 3];
-/// Row by row from the top of the image: 1 hides.
+/// The texels of the mask, row by row from the top of the image: 1 blocks.
 const TEXELS: [u8; 15] = [1, 1, 0, 0, 1, 0, 1, 1, 0, 1, 0, 1, 1, 0, 0];
 
-/// The corners of a tilted card over the origin, with texture coordinates that repeat the image.
+/// Creates the corners of a tilted card over the origin, with texture coordinates that repeat the image.
 fn card() -> [(Vec3, [f32; 2]); 4] {
     [[-1.0, -1.0], [2.0, -1.0], [2.0, 1.0], [-1.0, 1.0]].map(|[x, y]: [f32; 2]| {
         (
@@ -64,16 +64,16 @@ fn masked() -> Scene {
         ],
         "buffers": [{"uri": uri("application/octet-stream", &bytes), "byteLength": bytes.len()}],
     });
-    let options = Options {
+    let options = LoadOptions {
         alpha_textures: true,
-        ..Options::default()
+        ..LoadOptions::default()
     };
     load_bytes_with("card.gltf", file.to_string().as_bytes(), None, &options)
         .unwrap()
         .scene
 }
 
-/// The texels that hide as quads of their own. The card is 1.5 images wide.
+/// Creates a scene with a quad for each blocking texel. The card is 1.5 images wide.
 fn cut() -> Scene {
     let mut triangles = Vec::new();
     for (row, column) in (0..3).flat_map(|row| (0..8).map(move |column| (row, column))) {
@@ -102,20 +102,20 @@ fn cut() -> Scene {
 }
 
 #[test]
-fn a_card_hides_what_its_texels_hide() {
+fn masked_card_hides_as_much_as_texels() {
     for distance in [f64::INFINITY, 1.3] {
         for fragments in [false, true] {
             let open = |scene: &Scene| {
-                let settings = Settings {
+                let settings = SolverSettings {
                     fragments,
-                    ..Settings::new(distance)
+                    ..SolverSettings::new(distance)
                 };
                 let at = Receiver {
                     point: DVec3::new(0.1, 0.2, 0.0),
                     normal: DVec3::Z,
                     triangle: None,
                 };
-                let prepared = Prepared::new(scene, fragments).unwrap();
+                let prepared = AmbientScene::new(scene, fragments).unwrap();
                 Solver::new(&prepared, settings).solve(&[at], |_| {})[0]
                     .openness
                     .open
@@ -131,15 +131,20 @@ fn a_card_hides_what_its_texels_hide() {
 }
 
 #[test]
-fn a_card_hides_nothing_from_what_lies_on_it() {
-    let prepared = Prepared::new(&masked(), false).unwrap();
-    let solver = Solver::new(&prepared, Settings::new(1.0));
-    // In the first texel, rounded to below the card.
+fn card_does_not_hide_receiver_on_card() {
+    let prepared = AmbientScene::new(&masked(), false).unwrap();
+    let solver = Solver::new(&prepared, SolverSettings::new(1.0));
+    // A point in the first texel, which is slightly below the card.
     let on = |triangle| Receiver {
         point: DVec3::new(-0.9, 0.9, 1.0 - 0.25 * 0.9 - 1e-9),
         normal: DVec3::new(-0.25, 0.0, 1.0),
         triangle,
     };
-    assert!(solver.solve(&[on(Some(1))], |_| {})[0].openness.open > 0.999);
+    assert!(
+        solver.solve(&[on(Some(TriangleId(1)))], |_| {})[0]
+            .openness
+            .open
+            > 0.999
+    );
     assert!(solver.solve(&[on(None)], |_| {})[0].openness.open < 0.5);
 }

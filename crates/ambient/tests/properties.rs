@@ -1,5 +1,5 @@
-//! Properties that hold in every scene: crossing, doubled, touching and degenerate triangles on a small grid,
-//! and triangles anywhere.
+//! Properties that hold in every scene: scenes with crossing, doubled, touching and degenerate triangles on a
+//! small grid, and with random triangles.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use sightline_ambient::{Answer, Falloff, Prepared, Receiver, Settings, Solver};
+use sightline_ambient::{AmbientScene, Falloff, Receiver, ReceiverResult, Solver, SolverSettings};
 use sightline_scene::{Object, Scene, Triangle};
 
 fn scene(triangles: &[[Vec3; 3]]) -> Scene {
@@ -20,22 +20,27 @@ fn scene(triangles: &[[Vec3; 3]]) -> Scene {
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
-fn solve(triangles: &[[Vec3; 3]], settings: &Settings, receivers: &[Receiver]) -> Vec<Answer> {
-    let prepared = Prepared::new(&scene(triangles), settings.fragments).unwrap();
+fn solve(
+    triangles: &[[Vec3; 3]],
+    settings: &SolverSettings,
+    receivers: &[Receiver],
+) -> Vec<ReceiverResult> {
+    let prepared = AmbientScene::new(&scene(triangles), settings.fragments).unwrap();
     Solver::new(&prepared, settings.clone()).solve(receivers, |_| {})
 }
 
-fn settings(distance: f64) -> Settings {
-    Settings::new(distance)
+fn settings(distance: f64) -> SolverSettings {
+    SolverSettings::new(distance)
 }
 
-/// Triangles on a small grid of whole numbers: many share planes, edges and corners, and planes hold points.
+/// Generates triangles on a small grid of whole numbers. Many of them share planes, edges and corners, and
+/// some planes contain receivers.
 fn on_grid(most: usize) -> impl Strategy<Value = Vec<[Vec3; 3]>> {
     let corner = prop::array::uniform3(-3i32..4).prop_map(|c| Vec3::from(c.map(|x| x as f32)));
     prop::collection::vec(prop::array::uniform3(corner), 1..most)
 }
 
-/// Triangles anywhere in a box.
+/// Generates random triangles in a box.
 fn anywhere(most: usize) -> impl Strategy<Value = Vec<[Vec3; 3]>> {
     let corner = prop::array::uniform3(-3.0f32..3.0).prop_map(Vec3::from);
     prop::collection::vec(prop::array::uniform3(corner), 1..most)
@@ -45,7 +50,7 @@ fn triangles(most: usize) -> impl Strategy<Value = Vec<[Vec3; 3]>> {
     prop_oneof![on_grid(most), anywhere(most)]
 }
 
-/// Points near the middle, some of them in planes of the grid, that look in any direction.
+/// Generates receivers near the middle that look in any direction. Some of them are in planes of the grid.
 fn receivers(most: usize) -> impl Strategy<Value = Vec<Receiver>> {
     let at = prop_oneof![
         prop::array::uniform3(-1.5f64..1.5),
@@ -68,7 +73,8 @@ fn distances() -> impl Strategy<Value = f64> {
     prop_oneof![Just(f64::INFINITY), 0.3f64..6.0]
 }
 
-/// Whether a ray meets a triangle closer than a distance; none where it passes too near an edge to tell.
+/// Returns true if a ray meets a triangle closer than a distance. Returns `None` if the ray passes too near
+/// an edge to decide.
 fn meets(t: &[Vec3; 3], x: DVec3, ray: DVec3, distance: f64) -> Option<bool> {
     let [a, b, c] = t.map(|v| v.as_dvec3() - x);
     let normal = (b - a).cross(c - a);
@@ -86,7 +92,7 @@ fn meets(t: &[Vec3; 3], x: DVec3, ray: DVec3, distance: f64) -> Option<bool> {
     }
 }
 
-/// More than usual: most cases take a millisecond.
+/// Configures more cases than the default, because most cases take only a millisecond.
 fn cases() -> ProptestConfig {
     let usual = ProptestConfig::default();
     ProptestConfig {
@@ -98,15 +104,15 @@ fn cases() -> ProptestConfig {
 proptest! {
     #![proptest_config(cases())]
 
-    /// Jittered rays give what is computed, up to five of their standard deviations.
+    /// Jittered rays agree with the computed openness, within five of their standard deviations.
     #[test]
-    fn rays_agree(soup in triangles(24), at in receivers(2), distance in distances()) {
+    fn rays_agree_with_openness(soup in triangles(24), at in receivers(2), distance in distances()) {
         let answer = &solve(&soup, &settings(distance), &at)[0];
         let r = at[0];
         let (u, v) = r.normal.any_orthonormal_pair();
         let (side, mut free) = (96u32, 0u32);
         for i in 0..side * side {
-            // Jitter by a fixed sequence (Roberts 2018, "The unreasonable effectiveness of quasirandom
+            // Jitter with a fixed sequence (Roberts 2018, "The unreasonable effectiveness of quasirandom
             // sequences").
             let [a, b] = [0.7548776662466927, 0.5698402909980532].map(|step| (f64::from(i) * step) % 1.0);
             let s = (f64::from(i / side) + a) / f64::from(side);
@@ -116,17 +122,17 @@ proptest! {
         }
         let n = f64::from(side * side);
         let sampled = f64::from(free) / n;
-        // Cells of the jitter that no border crosses have no variance.
+        // Jitter cells that no border crosses have no variance.
         let deviation = (sampled * (1.0 - sampled) / n).sqrt().max(1.0 / n);
         let off = (sampled - answer.openness.open).abs();
         prop_assert!(off < 5.0 * deviation, "{} by rays, {} by parts", sampled, answer.openness.open);
     }
 
-    /// Fragments and what is free make the whole, each fragment is seen, and both ways agree.
+    /// Fragments and the free part add up to the whole, each fragment is visible, and both methods agree.
     #[test]
-    fn fragments_add_up_and_are_seen(soup in triangles(16), at in receivers(4), distance in distances()) {
+    fn fragments_add_up_and_are_visible(soup in triangles(16), at in receivers(4), distance in distances()) {
         let plain = solve(&soup, &settings(distance), &at);
-        let all = solve(&soup, &Settings { fragments: true, ..settings(distance) }, &at);
+        let all = solve(&soup, &SolverSettings { fragments: true, ..settings(distance) }, &at);
         for ((r, plain), answer) in at.iter().zip(&plain).zip(&all) {
             let sum: f64 = answer.fragments.iter().map(|f| f.factor).sum();
             prop_assert!((sum + answer.openness.open - 1.0).abs() < 1e-9 + answer.openness.bound, "{}", sum);
@@ -149,15 +155,15 @@ proptest! {
         }
     }
 
-    /// A triangle more never opens anything.
+    /// An additional triangle never increases the openness.
     #[test]
-    fn a_triangle_more_never_opens(
+    fn additional_triangle_never_increases_openness(
         soup in triangles(16), at in receivers(3), distance in distances(), sqrt: bool,
     ) {
         prop_assume!(!sqrt || distance.is_finite());
         let falloff = if sqrt { Falloff::Sqrt } else { Falloff::None };
-        let settings = Settings { falloff, ..settings(distance) };
-        // Instead of the first one, a triangle that is too far away to count.
+        let settings = SolverSettings { falloff, ..settings(distance) };
+        // A triangle that is too far away to count replaces the first triangle.
         let far = [[1e6, 0.0, 0.0], [1e6, 1e-3, 0.0], [1e6, 0.0, 1e-3]].map(Vec3::from);
         let less = &[&[far], &soup[1..]].concat();
         for (with, without) in solve(&soup, &settings, &at).iter().zip(solve(less, &settings, &at)) {
@@ -167,14 +173,14 @@ proptest! {
         }
     }
 
-    /// Dividing triangles changes nothing. Corners are on a grid, so that middles are exact.
+    /// The division of triangles does not affect the openness. Corners are on a grid, so midpoints are exact.
     #[test]
-    fn division_changes_nothing(
+    fn division_does_not_change_openness(
         soup in on_grid(10), at in receivers(3), distance in distances(), sqrt: bool,
     ) {
         prop_assume!(!sqrt || distance.is_finite());
         let falloff = if sqrt { Falloff::Sqrt } else { Falloff::None };
-        let settings = Settings { falloff, ..settings(distance) };
+        let settings = SolverSettings { falloff, ..settings(distance) };
         let divided: Vec<[Vec3; 3]> = soup
             .iter()
             .flat_map(|[a, b, c]| {
@@ -188,11 +194,11 @@ proptest! {
         }
     }
 
-    /// Which points share a block changes answers within their bounds.
+    /// The division into blocks changes answers only within their bounds.
     #[test]
-    fn blocks_change_nothing(soup in triangles(20), at in receivers(20), distance in distances()) {
-        let alone = Settings { block: (1, 1.0), ..settings(distance) };
-        let together = Settings { block: (64, 100.0), ..settings(distance) };
+    fn blocks_do_not_change_openness(soup in triangles(20), at in receivers(20), distance in distances()) {
+        let alone = SolverSettings { block: (1, 1.0), ..settings(distance) };
+        let together = SolverSettings { block: (64, 100.0), ..settings(distance) };
         for (one, many) in solve(&soup, &alone, &at).iter().zip(solve(&soup, &together, &at)) {
             let off = (one.openness.open - many.openness.open).abs();
             prop_assert!(off < 1e-9 + one.openness.bound + many.openness.bound, "off by {}", off);

@@ -1,4 +1,4 @@
-//! The parts of a result that is to be written.
+//! The job, scene and tile outputs from which a result is written.
 
 use std::fs::File;
 
@@ -7,20 +7,21 @@ use sightline_pvs::Items;
 
 use crate::SceneSummary;
 
-/// A job whose result is written.
+/// A job with the data that its result is written from.
 pub struct Assembly<'a, O> {
     /// The job.
     pub job: &'a PlannedJob,
-    /// The numerics profile that its tiles were computed with.
+    /// The numerics profile with which the job's tiles were computed.
     pub profile: &'a str,
-    /// The number of samples of its done tiles.
+    /// The number of rays or visibility cubes of the job's finished tiles.
     pub samples: u64,
-    /// The facts about its scene.
+    /// The facts about the job's scene.
     pub scene: &'a SceneSummary,
-    /// The items that its sets name ([`items`](crate::items)); `None` for triangles.
+    /// The items that the job's sets name ([`items`](crate::items)); `None` for triangles.
     pub items: Option<Items>,
-    /// The outputs of its tiles.
+    /// The outputs of the job's tiles.
     pub outputs: &'a O,
-    /// A file for certificates until they have their place in the result; without one they are in memory.
+    /// A temporary file that stores the certificates until the result is written. If `None`, they are in
+    /// memory.
     pub scratch: Option<File>,
 }

@@ -1,46 +1,59 @@
 //! The check of a tile's output against the job's plan.
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{CellSet, Granularity, Node, TileOutput, Visibility};
+use sightline_model::{CellSet, Granularity, SubtreeNode, TileOutput, Visibility};
 use sightline_pvs::Portals;
-use sightline_viewcells::{CellBox, Division, Tile, TileKind};
+use sightline_viewcells::{CellBox, Division, Tile, TileIndex, TileKind};
 
 use crate::placeholder::expected_nodes;
 
-/// Maximum length of a cell without its set, in bytes.
+/// Maximum length of a cell's data without its set, in bytes.
 const LEAST_UNPACKED: u64 = 4096;
 
-/// An output that is not that of its tile.
+/// A difference between a tile's output and the job's plan.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum OutputError {
     /// The bytes are not an encoded output.
     #[error(transparent)]
     Encoding(#[from] CodecError),
-    /// The output unpacks to more than the caller allowed.
-    #[error("the output is large and was not checked yet")]
+    /// The output unpacks to more bytes than the caller allowed.
+    #[error("the output unpacks to more bytes than this check allows")]
     Large,
-    /// The tree of the cells is not the tile's.
-    #[error("the output has other cells than the tile's grid")]
+    /// The tree of the output's cells differs from the tile's tree.
+    #[error("the cells of the output differ from the cells of the tile")]
     Cells,
-    /// The job has other cells without viewpoints.
-    #[error("the output has other cells without viewpoints than the job")]
-    Viewpoints,
-    /// The first tile of a job with portals has the portals of the result, and no other has.
-    #[error("the output's portals cannot be read, or it lacks them, or it has some and should not")]
-    Portals,
-    /// The job asks for contributions and the output has none, or the other way round.
+    /// The output and the job mark different cells as cells without viewpoints.
     #[error(
-        "the output has no contributions and the job asks for them, or has some and the job does not"
+        "the cells without viewpoints of the output differ from the cells without viewpoints of \
+         the job"
+    )]
+    Viewpoints,
+    /// The output's portals are unreadable, missing or unexpected. Only the first tile of a job with portals
+    /// has portals.
+    #[error("the output's portals are malformed, missing, or unexpected in this tile")]
+    Portals,
+    /// The output lacks contributions that the job requests, or has contributions that the job does not
+    /// request.
+    #[error(
+        "the output lacks contributions that the job requests, or has contributions that the job \
+         does not request"
     )]
     Contributions,
-    /// The cells were decided by another method.
-    #[error("the output's cells are not decided by the job's method")]
+    /// A cell lacks the results of exact queries and the job's method is not aggressive, or the reverse.
+    #[error(
+        "a cell of the output lacks requested results of exact queries, or has unrequested results"
+    )]
     Method,
-    /// Pairs of cells are missing, or over other cells.
-    #[error("the output's pairs of cells are not over the cells of the job")]
+    /// The output's pairs of cells are missing or unexpected, or are over other cells than the job's.
+    #[error(
+        "the output's pairs of cells are missing or unexpected, or are over other cells than the job's"
+    )]
     Pairs,
-    /// Samples in place of cells, or cells in place of samples.
-    #[error("the output is not of the tile's kind")]
+    /// The output contains a pack of samples and the tile has cells, or the reverse.
+    #[error(
+        "the output contains samples and the tile has cells, or the output contains cells and the \
+         tile has samples"
+    )]
     Kind,
 }
 
@@ -54,8 +67,8 @@ pub struct SceneSize {
 }
 
 impl SceneSize {
-    /// Returns an upper limit on the numbers that the sets of a job's tiles name. There are at most as many
-    /// clusters as triangles; objects may have none.
+    /// Returns an upper limit on the number of items that the sets of a job's tiles name. A scene has at most
+    /// as many clusters as triangles; objects may be empty.
     pub(crate) fn items(self, task: &Visibility) -> u32 {
         match task.items() {
             Granularity::Triangles | Granularity::Clusters => self.triangles,
@@ -63,7 +76,7 @@ impl SceneSize {
         }
     }
 
-    /// Returns the number of items that an output of a kind can name.
+    /// Returns the maximum number of items that an output of a tile of this kind can name.
     fn items_of(self, task: &Visibility, kind: TileKind) -> u32 {
         match kind {
             TileKind::Leaf => self.items(task),
@@ -72,13 +85,13 @@ impl SceneSize {
     }
 }
 
-/// Returns the maximum length of a tile's output before it is unpacked, in bytes. Packing adds little to
-/// bytes that it cannot shorten.
+/// Returns the maximum length of a tile's compressed output, in bytes. Compression adds few bytes to an
+/// output that it cannot shorten.
 pub fn most_packed(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     packed(most_unpacked(task, tile, scene))
 }
 
-/// Returns the maximum packed length of an output, by its unpacked length, in bytes.
+/// Returns the maximum compressed length of an output of `unpacked` bytes, in bytes.
 fn packed(unpacked: u64) -> u64 {
     unpacked
         .saturating_add(unpacked / 64)
@@ -86,8 +99,8 @@ fn packed(unpacked: u64) -> u64 {
         .min(codec::MAX_UNPACKED)
 }
 
-/// Returns the maximum length of a tile's output after it is unpacked, in bytes. A set has at most all items,
-/// each with a difference and a count of at most five bytes; proofs and packs have no such bound.
+/// Returns the maximum length of a tile's unpacked output, in bytes. A set has at most all items, each with a
+/// difference and a count of at most five bytes. Proofs and packs have no such bound.
 fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     if tile.kind != TileKind::Leaf || task.is_decided() || tile.cells == 0 {
         return codec::MAX_UNPACKED;
@@ -96,7 +109,7 @@ fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     let pairs = task
         .pair_cells()
         .map_or(0, |sides| sides.map(u64::from).iter().product::<u64>());
-    // An adaptive tile has more cells than in its plan, and at most two to the depth of its tree.
+    // An adaptive tile counts as one cell in the plan, and has at most two to the depth of its tree.
     let cells = match task.division() {
         Division::Adaptive { .. } => tile.cells.saturating_mul(1 << 12),
         Division::Grid(_) | Division::Tree(_) => tile.cells,
@@ -107,14 +120,16 @@ fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
         .min(codec::MAX_UNPACKED)
 }
 
-/// Checks the output of a tile, the tile number `number` of the job's plan, and returns the number of its
-/// cells. An output that unpacks to more than `most` bytes is not unpacked further.
+/// Checks the output of tile `number` of the job's plan and returns the number of the output's cells.
+/// Unpacking stops after `most` bytes.
 ///
 /// # Errors
-/// [`OutputError`] for the first difference from the plan.
+/// [`OutputError`] for the first difference from the plan; [`OutputError::Large`] if the output unpacks to
+/// more than `most` bytes.
 pub fn check(
     task: &Visibility,
-    (number, tile): (u32, &Tile),
+    number: TileIndex,
+    tile: &Tile,
     scene: SceneSize,
     bytes: &[u8],
     most: u64,
@@ -163,7 +178,7 @@ pub fn check(
     {
         return Err(OutputError::Viewpoints);
     }
-    let has_portals = task.has_portals() && number == 0;
+    let has_portals = task.has_portals() && number == TileIndex(0);
     let is_table = |bytes: &[u8]| Portals::decode(bytes, scene.triangles).is_ok();
     if has_portals && !is_table(&sets.portals) || !has_portals && !sets.portals.is_empty() {
         return Err(OutputError::Portals);
@@ -178,21 +193,21 @@ pub fn check(
     Ok(sets.cells.len() as u64)
 }
 
-/// Returns for each cell of a tile with these nodes whether no viewpoint is in it; an empty list when
+/// Returns, for each cell of a tile with these nodes, true if the cell has no viewpoint. The list is empty if
 /// viewpoints are everywhere.
-fn unreached(task: &Visibility, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
+fn unreached(task: &Visibility, root: &CellBox, nodes: &[SubtreeNode]) -> Vec<bool> {
     if task.viewpoints().mask().is_none() {
         return Vec::new();
     }
-    let (mut open, mut out) = (vec![*of], Vec::new());
+    let (mut open, mut out) = (vec![*root], Vec::new());
     for node in nodes {
         let Some(cell) = open.pop() else { break };
         match node {
-            Node::Split(split) => {
+            SubtreeNode::Split(split) => {
                 let [below, above] = cell.children(*split);
                 open.extend([above, below]);
             }
-            Node::Cell => out.push(task.marks(&cell) == 0),
+            SubtreeNode::Cell => out.push(task.marks(&cell) == 0),
         }
     }
     out
@@ -237,7 +252,14 @@ mod tests {
 
     fn checked(job: &PlannedJob, bytes: &[u8]) -> Result<u64, OutputError> {
         let task = job.visibility().unwrap();
-        check(task, (0, &job.plan().tiles[0]), SCENE, bytes, u64::MAX)
+        check(
+            task,
+            TileIndex(0),
+            &job.plan().tiles[0],
+            SCENE,
+            bytes,
+            u64::MAX,
+        )
     }
 
     #[test]
@@ -257,7 +279,7 @@ mod tests {
             checked(&job, &codec::encode(&TileOutput::Cells(sets)).unwrap())
         };
         let one_cell = |sets: &mut CellSets| {
-            sets.nodes = vec![Node::Cell];
+            sets.nodes = vec![SubtreeNode::Cell];
             sets.cells.truncate(1);
         };
         assert_eq!(change(&one_cell), Err(OutputError::Cells));

@@ -4,7 +4,7 @@ use sightline_model::CellSet;
 use sightline_model::statistics::{COLUMNS, column_names};
 use sightline_pvs::Column;
 
-/// Collects the cells in their order.
+/// A collector of the statistics of cells, in the order of the cells.
 pub struct Statistics {
     values: [Vec<u64>; COLUMNS],
 }
@@ -18,14 +18,14 @@ impl Default for Statistics {
 }
 
 impl Statistics {
-    /// Adds a cell.
+    /// Adds the statistics of the next cell.
     pub fn push(&mut self, cell: &CellSet) {
         for (column, value) in self.values.iter_mut().zip(cell.row()) {
             column.push(value);
         }
     }
 
-    /// The columns, without those that are zero everywhere.
+    /// Returns the columns that have a value other than zero.
     pub fn columns(self) -> Vec<Column> {
         let column = |(name, values): (&str, Vec<u64>)| Column {
             name: name.to_owned(),

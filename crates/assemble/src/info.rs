@@ -1,18 +1,19 @@
-//! The description of a bake, which is in its result: everything that the result depends on, and nothing that
-//! differs between two runs.
+//! The description of a bake in its result: all facts that the result depends on. Facts that differ between
+//! two runs are not included.
 
 use sightline_model::{ALGORITHM_VERSION, Visibility};
 use sightline_scene::Kinds;
 use sightline_scene::kinds::KindCount;
+use sightline_viewcells::TileIndex;
 
 use crate::{Assembly, OutputState, Outputs};
 
-/// Describes the bake as a JSON object.
+/// Describes a bake as a JSON object.
 pub fn info<O: Outputs>(input: &Assembly<'_, O>, task: &Visibility) -> String {
     let of_state = |state| {
         let leaves = input.job.plan().leaves();
         leaves
-            .filter(|tile| input.outputs.state(*tile) == state)
+            .filter(|tile| input.outputs.state(TileIndex(*tile)) == state)
             .count()
     };
     let mut info = serde_json::json!({
@@ -35,7 +36,7 @@ pub fn info<O: Outputs>(input: &Assembly<'_, O>, task: &Visibility) -> String {
     if input.scene.is_culled {
         info["cull_back_faces"] = true.into();
     }
-    // Absent for opaque scenes.
+    // Opaque scenes have no `kinds` field.
     let kinds = &input.scene.kinds;
     if *kinds != Kinds::opaque() {
         let count = |c: KindCount| {

@@ -1,27 +1,29 @@
-//! The pairs of cells of a result that see each other: the relations of all tiles, joined and renumbered.
+//! The pairs of cells of a result that see each other, joined and renumbered from the tiles' relations.
 //!
-//! A tile numbers cells by a regular grid over the view box ([`Visibility::pair_cells`]); a result numbers
-//! them in the order of its tree. A cell of an adaptive tree holds several cells of that grid, or is a part
-//! of one.
+//! A tile numbers cells by a regular grid over the view box ([`Visibility::pair_cells`]). A result numbers
+//! cells in the order of its tree. A cell of an adaptive tree contains several cells of that grid, or is a
+//! part of one.
 
 use sightline_model::{PairTable, TilePairs, Visibility};
 use sightline_pvs::{CellPairs, MOST_PAIR_CELLS, PvsError, Relation};
 use sightline_viewcells::CellBox;
 
-/// The relations of the tiles read so far, and the cells of the result.
+/// The union of the relations of the tiles read so far, and the cells of the result.
 pub struct PairJoin {
     sides: [u32; 3],
     units: [u32; 3],
     seen: PairTable,
     hidden: Option<PairTable>,
-    /// For each cell of the result, its cells of the grid.
+    /// For each cell of the result, the grid cells that it contains or lies in.
     cells: Vec<Vec<u32>>,
-    /// For each cell of the result, whether viewpoints are in it, and whether its tile was set aside.
+    /// For each cell of the result: true if it has viewpoints, and true if its tile was set aside or is not
+    /// done.
     states: Vec<(bool, bool)>,
 }
 
 impl PairJoin {
-    /// Begins; `None` when the job does not ask for pairs, or has more cells than can have them.
+    /// Creates a join without relations. Returns `None` if the job has no pairs, or more than
+    /// [`MOST_PAIR_CELLS`] cells.
     pub fn new(task: &Visibility, cells: u32) -> Option<Self> {
         let sides = task.pair_cells().filter(|_| cells <= MOST_PAIR_CELLS)?;
         let count = sides.iter().product();
@@ -35,7 +37,8 @@ impl PairJoin {
         })
     }
 
-    /// Adds the relations of a tile; false when they are over other cells.
+    /// Adds the relations of a tile. Returns false if the relations have another number of cells than the
+    /// job.
     pub fn add_tile(&mut self, pairs: &TilePairs) -> bool {
         if pairs.seen.cells() != self.seen.cells() {
             return false;
@@ -47,7 +50,8 @@ impl PairJoin {
         true
     }
 
-    /// Adds the next cell of the result.
+    /// Adds the next cell of the result, with its box on the lattice. `reached` is true if the cell has
+    /// viewpoints, and `aside` is true if its tile was set aside or is not done.
     pub fn add_cell(&mut self, at: &CellBox, reached: bool, aside: bool) {
         let range = |a: usize| {
             let [lo, hi, sides, units] =
@@ -61,7 +65,7 @@ impl PairJoin {
         self.states.push((reached, aside));
     }
 
-    /// The relations between the cells of the result.
+    /// Computes the relations between the cells of the result.
     pub fn finish(&self) -> Result<CellPairs, PvsError> {
         let count = self.cells.len() as u32;
         let (mut visible, mut undecided) = (Relation::empty(count)?, Relation::empty(count)?);
@@ -76,7 +80,7 @@ impl PairJoin {
                 row
             };
             let seen = union(&self.seen);
-            // A pair of larger cells is hidden when all pairs of their parts are.
+            // A pair of cells of the result is hidden if all pairs of their grid cells are hidden.
             let hidden = self.hidden.as_ref().map(|hidden| {
                 let mut row = vec![u64::MAX; hidden.row(0).len()];
                 for cell in cells {

@@ -1,17 +1,18 @@
 //! The placeholder of a tile that cannot be computed, and the cells that the plan expects of a tile.
 
 use sightline_model::{
-    CellSet, CellSets, Node, Pack, PlannedJob, Task, TileOutput, Visibility, codec,
+    CellSet, CellSets, Pack, PlannedJob, SubtreeNode, Task, TileOutput, Visibility, codec,
 };
 use sightline_viewcells::{CellBox, Division, Lattice, Tile, TileKind};
 
 use crate::openness;
 
-/// Encodes the placeholder of a tile: the tree of its cells with empty sets, because every cell will show
-/// every triangle, including those without area. For a tile of samples: no samples.
+/// Encodes the placeholder of a tile that cannot be computed. A leaf tile gets the tree of its cells with
+/// empty sets, because the result lists all triangles that show for every cell of such a tile. A tile of
+/// samples gets no samples.
 ///
 /// # Errors
-/// When compression fails.
+/// [`std::io::Error`] if compression fails.
 pub fn placeholder(job: &PlannedJob, tile: &Tile) -> Result<Vec<u8>, std::io::Error> {
     let task = match &job.spec().task {
         Task::Ambient(ambient) => return openness::placeholder(ambient),
@@ -24,9 +25,9 @@ pub fn placeholder(job: &PlannedJob, tile: &Tile) -> Result<Vec<u8>, std::io::Er
     codec::encode(&output)
 }
 
-/// Returns the subtree below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on
-/// the samples.
-pub fn expected_nodes(task: &Visibility, tile: &Tile) -> Option<Vec<Node>> {
+/// Returns the subtree below a leaf tile's cell. Returns `None` for an adaptive division, whose subtree
+/// depends on the samples.
+pub fn expected_nodes(task: &Visibility, tile: &Tile) -> Option<Vec<SubtreeNode>> {
     let is_known = !matches!(task.division(), Division::Adaptive { .. });
     is_known.then(|| empty_cells(task, tile).nodes)
 }
@@ -43,18 +44,18 @@ pub(crate) fn empty_cells(task: &Visibility, tile: &Tile) -> CellSets {
     sets
 }
 
-fn add_empty_cells(of: (&Division, &Lattice), cell: &CellBox, depth: u32, out: &mut CellSets) {
-    let (division, lattice) = of;
+fn add_empty_cells(space: (&Division, &Lattice), cell: &CellBox, depth: u32, out: &mut CellSets) {
+    let (division, lattice) = space;
     let is_known = !matches!(division, Division::Adaptive { .. });
     match division.split(lattice, cell, depth).filter(|_| is_known) {
         Some(split) => {
-            out.nodes.push(Node::Split(split));
+            out.nodes.push(SubtreeNode::Split(split));
             for child in cell.children(split) {
-                add_empty_cells(of, &child, depth + 1, out);
+                add_empty_cells(space, &child, depth + 1, out);
             }
         }
         None => {
-            out.nodes.push(Node::Cell);
+            out.nodes.push(SubtreeNode::Cell);
             out.cells.push(CellSet::default());
         }
     }

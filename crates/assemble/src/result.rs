@@ -1,18 +1,18 @@
-//! The result of a job from its leaf tiles: one tree, one visible set per cell, one `.pvs` file.
+//! The assembly of a job's leaf tiles into a result: one tree, one visible set per cell, one `.pvs` file.
 //!
 //! Tiles are read one at a time.
 
 use std::io::Write;
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{CellSet, CellSets, Granularity, Node, TileOutput, Visibility};
+use sightline_model::{CellSet, CellSets, Granularity, SubtreeNode, TileOutput, Visibility};
 use sightline_pvs::{
     Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Object, PvsError, SET_ASIDE,
     Source,
 };
-use sightline_scene::Scene;
 use sightline_scene::clusters::clusters;
-use sightline_viewcells::{CellBox, Lattice, Outline};
+use sightline_scene::{Scene, TriangleId};
+use sightline_viewcells::{CellBox, Lattice, Outline, TileIndex};
 
 use crate::check::SceneSize;
 use crate::columns::Statistics;
@@ -21,7 +21,7 @@ use crate::pairs::PairJoin;
 use crate::placeholder::empty_cells;
 use crate::{Assembly, OutputState, Outputs, SceneSummary};
 
-/// A result that cannot be assembled.
+/// The error of a result that cannot be assembled.
 #[derive(Debug, thiserror::Error)]
 pub enum AssembleError<E> {
     /// An output cannot be read.
@@ -30,16 +30,16 @@ pub enum AssembleError<E> {
     /// A tile's output does not fit the plan.
     #[error("tile {tile}: {reason}")]
     Tile {
-        /// The tile.
-        tile: u32,
-        /// The difference.
+        /// The number of the tile.
+        tile: TileIndex,
+        /// The difference from the plan.
         reason: &'static str,
     },
     /// A tile's output cannot be decoded.
     #[error("tile {tile}: {error}")]
     Codec {
-        /// The tile.
-        tile: u32,
+        /// The number of the tile.
+        tile: TileIndex,
         /// The error of the decoder.
         error: CodecError,
     },
@@ -48,22 +48,24 @@ pub enum AssembleError<E> {
     Pvs(#[from] PvsError),
 }
 
-/// Finds the items that the sets of a job name; `None` for triangles.
+/// Computes the items of the scene that the sets of a job name. Returns `None` for triangles.
 pub fn items(scene: &Scene, items: Granularity) -> Option<Items> {
     match items {
         Granularity::Triangles => None,
         Granularity::Clusters => Some(Items::Clusters(clusters(scene))),
         Granularity::Objects => Some(Items::Objects {
-            never: (0..scene.len()).filter(|t| !scene.shows(*t)).collect(),
+            never: (0..scene.len())
+                .filter(|t| !scene.shows(TriangleId(*t)))
+                .collect(),
         }),
     }
 }
 
-/// Writes the `.pvs` file of a job of visibility and returns its length. Cells of tiles that are not done or
-/// were set aside show everything, as undecided.
+/// Writes the `.pvs` file of a job of visibility and returns its length in bytes. Cells of tiles that are not
+/// done or were set aside show all triangles, as undecided.
 ///
 /// # Errors
-/// [`AssembleError`].
+/// [`AssembleError`] if an output cannot be read or does not fit the plan, or the result cannot be written.
 pub fn write<O: Outputs>(
     mut input: Assembly<'_, O>,
     task: &Visibility,
@@ -76,17 +78,17 @@ pub fn write<O: Outputs>(
         objects: scene.objects.len() as u32,
     };
     let most = size.items(task);
-    let read = |tile: u32| read(&input, task, tile, most);
-    // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
-    // tile: keeping all tiles in memory would cost more than the second reading.
+    let read = |tile: TileIndex| read(&input, task, tile, most);
+    // The file has the tree before the sets, so every tile is read twice, one at a time. Certificates are the
+    // largest part of a tile: keeping all tiles in memory would cost more than the second reading.
     let mut nodes = Vec::new();
-    // The cells of a plan's only tile, which is read once.
+    // The cells of a plan's only tile, so that this tile is read once.
     let mut kept = None;
     for part in &plan.outline {
         match *part {
-            Outline::Split(split) => nodes.push(pvs_node(Node::Split(split), lattice)),
+            Outline::Split(split) => nodes.push(pvs_node(SubtreeNode::Split(split), lattice)),
             Outline::Leaf(tile) => {
-                let sets = read(tile)?;
+                let sets = read(TileIndex(tile))?;
                 nodes.extend(sets.nodes.iter().map(|node| pvs_node(*node, lattice)));
                 if plan.outline.len() == 1 {
                     kept = Some(sets);
@@ -94,11 +96,11 @@ pub fn write<O: Outputs>(
             }
         }
     }
-    // The visible set of every cell of a tile that was set aside; placeholders do not repeat it for every
-    // cell.
+    // The visible set of every cell of a tile that was set aside or is not done. Placeholders do not repeat
+    // this set for every cell.
     let all: Vec<u32> = match &input.items {
         None => (0..scene.triangles)
-            .filter(|t| scene.kinds.kind(*t).shows())
+            .filter(|t| scene.kinds.kind(TriangleId(*t)).shows())
             .collect(),
         Some(Items::Clusters(all)) => (0..all.len() as u32).collect(),
         Some(Items::Objects { .. }) => (0..scene.objects.len() as u32).collect(),
@@ -123,7 +125,7 @@ pub fn write<O: Outputs>(
     }
     let mut pairs = PairJoin::new(task, cells);
     let mut statistics = Statistics::default();
-    for tile in plan.leaves() {
+    for tile in plan.leaves().map(TileIndex) {
         let aside = input.outputs.state(tile) != OutputState::Done;
         let wrong = |reason| AssembleError::Tile { tile, reason };
         let mut sets = match kept.take() {
@@ -146,9 +148,9 @@ pub fn write<O: Outputs>(
             if task.has_contributions() {
                 let cell_contributions =
                     contributions(cell, if aside { all.len() } else { cell.visible.len() });
-                builder.push_contributions(
-                    &cell_contributions.ok_or_else(|| wrong("it lacks contributions"))?,
-                )?;
+                builder.push_contributions(&cell_contributions.ok_or_else(|| {
+                    wrong("the numbers of contributions and of visible items of a cell differ")
+                })?)?;
             }
             statistics.push(cell);
         }
@@ -156,9 +158,11 @@ pub fn write<O: Outputs>(
             if let Some(pairs) = &sets.pairs
                 && !join.add_tile(pairs)
             {
-                return Err(wrong("its pairs are those of another number of cells"));
+                return Err(wrong(
+                    "the pairs of cells are over another number of cells than the job's",
+                ));
             }
-            let boxes = boxes(&plan.tiles[tile as usize].cell, &sets.nodes);
+            let boxes = boxes(&plan.tiles[tile.at()].cell, &sets.nodes);
             boxes
                 .iter()
                 .zip(&sets.cells)
@@ -172,15 +176,15 @@ pub fn write<O: Outputs>(
     Ok(builder.finish(out)?.file_bytes)
 }
 
-/// Reads the cells of a leaf tile, whose sets name at most `items` items. The cells of a tile that is not
-/// done or was set aside are empty.
+/// Reads the cells of a leaf tile, whose sets name at most `items` items. Cells of a tile that is not done or
+/// was set aside are empty.
 fn read<O: Outputs>(
     input: &Assembly<'_, O>,
     task: &Visibility,
-    tile: u32,
+    tile: TileIndex,
     items: u32,
 ) -> Result<CellSets, AssembleError<O::Error>> {
-    let planned = &input.job.plan().tiles[tile as usize];
+    let planned = &input.job.plan().tiles[tile.at()];
     if input.outputs.state(tile) == OutputState::Open {
         return Ok(empty_cells(task, planned));
     }
@@ -189,16 +193,18 @@ fn read<O: Outputs>(
     let output =
         codec::decode(&bytes, items).map_err(|error| AssembleError::Codec { tile, error })?;
     let TileOutput::Cells(sets) = output else {
-        return Err(wrong("it holds samples and not cells"));
+        return Err(wrong("the output contains samples in place of cells"));
     };
-    // An adaptive tile counts as one cell in the plan, however many it has.
+    // An adaptive tile counts as one cell in the plan, independent of its number of cells.
     if planned.cells > 1 && sets.cells.len() as u64 != planned.cells {
-        return Err(wrong("it has another number of cells than its grid"));
+        return Err(wrong(
+            "the number of cells differs from the number in the plan",
+        ));
     }
     Ok(sets)
 }
 
-/// Returns the cell as the file has it; with `all`, the cell of a tile that is not done.
+/// Returns the cell in the form of the file. `all` is the set of a cell of a tile without an output.
 fn shown<'a>(cell: &'a CellSet, all: Option<&'a [u32]>) -> Cell<'a> {
     match all {
         // Triangles of a failed tile were neither seen nor proved hidden.
@@ -215,7 +221,7 @@ fn shown<'a>(cell: &'a CellSet, all: Option<&'a [u32]>) -> Cell<'a> {
     }
 }
 
-/// Returns the objects as the file has them.
+/// Returns the scene's objects in the form of the file.
 fn objects(scene: &SceneSummary) -> Vec<Object> {
     let source = |at: usize| {
         scene.sources.get(at).map(|source| Source {
@@ -236,11 +242,11 @@ fn objects(scene: &SceneSummary) -> Vec<Object> {
         .collect()
 }
 
-/// Returns how much of the view each of `items` visible items takes; `None` when the tile counted another
-/// number.
+/// Returns the contributions of the `items` visible items of a cell. Returns `None` if the cell has counts
+/// for another number of items.
 fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
     let Some(hits) = &cell.hits else {
-        // Nothing was measured in a tile that was set aside.
+        // A tile that was set aside has no measurements.
         return Some(vec![Contribution::new(0.0, 0.0); items]);
     };
     let all = f64::from(hits.viewpoints) * f64::from(hits.lines);
@@ -253,28 +259,28 @@ fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
     (hits.counts.len() == items).then(|| hits.counts.iter().map(to_contribution).collect())
 }
 
-/// Returns the boxes of a subtree's cells, in preorder.
-fn boxes(root: &CellBox, nodes: &[Node]) -> Vec<CellBox> {
+/// Returns the boxes of the cells of a subtree, in preorder.
+fn boxes(root: &CellBox, nodes: &[SubtreeNode]) -> Vec<CellBox> {
     let (mut boxes, mut open) = (Vec::new(), vec![*root]);
     for node in nodes {
         let Some(at) = open.pop() else { break };
         match node {
-            Node::Split(split) => {
+            SubtreeNode::Split(split) => {
                 let [below, above] = at.children(*split);
                 open.extend([above, below]);
             }
-            Node::Cell => boxes.push(at),
+            SubtreeNode::Cell => boxes.push(at),
         }
     }
     boxes
 }
 
-fn pvs_node(node: Node, lattice: &Lattice) -> sightline_pvs::Node {
+fn pvs_node(node: SubtreeNode, lattice: &Lattice) -> sightline_pvs::Node {
     match node {
-        Node::Split(split) => sightline_pvs::Node::Split {
+        SubtreeNode::Split(split) => sightline_pvs::Node::Split {
             axis: split.axis as u8,
             at: lattice.coordinate(split.axis, split.at),
         },
-        Node::Cell => sightline_pvs::Node::Leaf,
+        SubtreeNode::Cell => sightline_pvs::Node::Leaf,
     }
 }

@@ -1,8 +1,8 @@
 //! The facts about a scene that a result contains or needs.
 
-use sightline_scene::{Aabb, Kinds, Object, Scene, Source};
+use sightline_scene::{Aabb, GltfLocation, Kinds, Object, Scene};
 
-/// The facts about a scene without its triangles.
+/// A scene's facts without its triangles.
 #[derive(Clone, Debug)]
 pub struct SceneSummary {
     /// The number of triangles.
@@ -13,9 +13,9 @@ pub struct SceneSummary {
     pub bounds: Aabb,
     /// The kinds of the triangles.
     pub kinds: Kinds,
-    /// The places of the objects in their glTF file; empty for other files.
-    pub sources: Vec<Source>,
-    /// Whether triangles are seen from their front sides only.
+    /// The nodes and meshes of the objects in their glTF file; empty for other files.
+    pub sources: Vec<GltfLocation>,
+    /// True if triangles are seen from their front sides only.
     pub is_culled: bool,
 }
 

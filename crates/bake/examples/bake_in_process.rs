@@ -7,16 +7,17 @@
 use std::error::Error;
 use std::sync::Arc;
 
-use sightline_bake::{Alone, BakeScene, Control, Inputs, Watcher, run};
+use sightline_bake::{BakeScene, Control, Inputs, SoleMember, Watcher, run};
 use sightline_model::{
     CellSets, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling, TileOutput,
     codec,
 };
-use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
 use sightline_trace::CubeSpec;
-use sightline_trace::embree::CpuBackend;
+use sightline_trace::cpu::CpuBackend;
+use sightline_viewcells::TileIndex;
 
-/// Watches nothing and never stops the tile.
+/// A watcher that ignores progress and never cancels the tile.
 struct Unwatched;
 
 impl Watcher for Unwatched {
@@ -27,34 +28,38 @@ impl Watcher for Unwatched {
     }
 }
 
-/// The cells of the first tile of a bake of a few rooms, 4×2×4 cells over their bounds.
+/// Bakes the first tile of a scene of a few rooms, with 4×2×4 cells over the scene's bounds.
 ///
 /// # Errors
-/// Embree is missing, or the bake failed.
+/// Returns an error if the bake fails.
 pub fn bake() -> Result<CellSets, Box<dyn Error>> {
-    let params = Params {
+    let params = SceneParams {
         triangles: Some(2000),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    let scene = Arc::new(generate(Kind::Rooms, &params)?);
-    // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so one tile here.
+    let scene = Arc::new(generate(SceneKind::Rooms, &params)?);
+    // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so the job has one
+    // tile.
     let cells = KnownCells::Grid(GridCells::new(scene.bounds(), [4, 2, 4])?);
     let sampling = Sampling::new(Sampler::lines(cells));
-    let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&sampling.sampler))?;
+    let backend = CpuBackend::new(
+        Arc::clone(&scene),
+        CubeSpec::from_sampler(&sampling.sampler),
+    )?;
     let job = PlannedJob::new(JobSpec::new(scene.digest().0, Method::aggressive(sampling)))?;
     let control = Control {
         watcher: &Unwatched,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let prepared = BakeScene::new(Arc::clone(&scene))?;
     let done = run(
         &job,
-        0,
+        TileIndex(0),
         Inputs::new(&prepared).with_tracer(&backend),
         control,
     )?;
-    // A worker sends these bytes to its coordinator; here they are decoded at once.
+    // A worker sends these bytes to its coordinator. This example decodes them at once.
     match codec::decode(&done.bytes, scene.len())? {
         TileOutput::Cells(cells) => Ok(cells),
         TileOutput::Pack(_) => Err("only tiles of visibility cubes have packs".into()),

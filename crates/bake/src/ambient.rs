@@ -1,50 +1,57 @@
-//! A tile of ambient occlusion: the openness of its receivers, block by block.
+//! The computation of a tile of ambient occlusion: the openness of the tile's receivers, block by block.
 //!
-//! The mathematics is that of `sightline_ambient`; here is what a tile is and how its answers become bytes.
-//! No backend takes part, so all machines give the same bytes.
+//! `sightline_ambient` computes the openness. This module selects the receivers of a tile and encodes their
+//! openness. No tracer is used, so all machines compute the same bytes.
 
 use glam::DVec3;
 use rayon::prelude::*;
-use sightline_ambient::{Answer, Falloff, Light, Memory, Receiver, Settings, Solver};
+use sightline_ambient::{
+    BlockMemory, Falloff, Light, Receiver, ReceiverResult, Solver, SolverSettings,
+};
 use sightline_model::Ambient;
 use sightline_model::openness::Openness;
 use sightline_model::receivers::{self, Receivers};
 use sightline_sample::Watcher;
+use sightline_viewcells::TileIndex;
 
 use crate::outcome::{BakeError, TileDone, tile_error};
 use crate::scene::BakeScene;
 
-/// Computes tile `number` of a job of ambient occlusion. `receivers` are those that the job names.
+/// Computes tile `number` of a job of ambient occlusion. `receivers` are the receivers that the job
+/// references.
 ///
 /// The bytes are a function of the scene and the receivers.
 ///
 /// # Errors
-/// [`BakeError`]; a cancelled tile is one.
+/// [`BakeError::Cancelled`] if the watcher cancels the tile; [`BakeError::Tile`] if the tile cannot be
+/// computed.
 ///
 /// # Panics
-/// On a thread of rayon's pool, which could wait for itself.
+/// Panics on a thread of rayon's pool, because the thread could wait for itself.
 pub fn run(
     ambient: &Ambient,
-    number: u32,
+    number: TileIndex,
     scene: &BakeScene,
     receivers: &Receivers,
     watcher: &dyn Watcher,
 ) -> Result<TileDone, BakeError> {
     let wrong = |reason: &str| BakeError::Tile(reason.to_owned());
     if ambient.points as usize != receivers.receivers.len() {
-        return Err(wrong("the job names other receivers than were sent"));
+        return Err(wrong(
+            "the number of receivers differs from the job's; send the receivers of this job",
+        ));
     }
     let blocks = receivers
         .of_tile(number)
-        .ok_or_else(|| wrong("the plan has no such tile"))?;
+        .ok_or_else(|| wrong("the plan has no tile with this number"))?;
     let prepared = scene.ambient().map_err(BakeError::Tile)?;
     let settings = settings(&receivers.settings).map_err(|reason| wrong(&reason))?;
     let solver = Solver::new(prepared, settings);
-    let answers: Vec<Option<Vec<Answer>>> = blocks
+    let answers: Vec<Option<Vec<ReceiverResult>>> = blocks
         .par_iter()
-        // Some take much longer than others.
+        // The times of blocks differ much.
         .with_max_len(1)
-        .map_init(Memory::default, |memory, block| {
+        .map_init(BlockMemory::default, |memory, block| {
             if watcher.cancelled() {
                 return None;
             }
@@ -55,8 +62,8 @@ pub fn run(
             Some(answers)
         })
         .collect();
-    // The order of blocks, whichever thread had them.
-    let answers: Option<Vec<Vec<Answer>>> = answers.into_iter().collect();
+    // The answers are in the order of the blocks, independent of the threads that computed them.
+    let answers: Option<Vec<Vec<ReceiverResult>>> = answers.into_iter().collect();
     let answers = answers.ok_or(BakeError::Cancelled)?.concat();
     let bytes = openness(&answers, ambient.numbers())?
         .encode()
@@ -82,11 +89,11 @@ fn receiver(r: &receivers::Receiver) -> Receiver {
 }
 
 /// Converts the settings of receivers to the settings of the solver.
-fn settings(wanted: &receivers::ReceiverSettings) -> Result<Settings, String> {
+fn settings(wanted: &receivers::ReceiverSettings) -> Result<SolverSettings, String> {
     let light = |(k, corners): (usize, &Vec<[f64; 3]>)| {
         Light::new(corners).map_err(|e| format!("light {k}: {e}"))
     };
-    Ok(Settings {
+    Ok(SolverSettings {
         falloff: match wanted.falloff {
             receivers::Falloff::None => Falloff::None,
             receivers::Falloff::Sqrt => Falloff::Sqrt,
@@ -97,22 +104,22 @@ fn settings(wanted: &receivers::ReceiverSettings) -> Result<Settings, String> {
             .enumerate()
             .map(light)
             .collect::<Result<_, _>>()?,
-        ..Settings::new(wanted.distance)
+        ..SolverSettings::new(wanted.distance)
     })
 }
 
-/// Answers in single precision, so many numbers each.
-fn openness(answers: &[Answer], numbers: u32) -> Result<Openness, BakeError> {
+/// Converts the results of receivers to single precision. Each receiver must have `numbers` values.
+fn openness(answers: &[ReceiverResult], numbers: u32) -> Result<Openness, BakeError> {
     let (mut values, mut bound) = (Vec::with_capacity(answers.len() * numbers as usize), 0.0f64);
     for (at, answer) in answers.iter().enumerate() {
         let fractions = std::iter::once(answer.openness.open).chain(answer.lights.iter().copied());
         let all = fractions.clone().all(f64::is_finite) && answer.openness.bound.is_finite();
         if !all || fractions.clone().count() != numbers as usize {
             return Err(BakeError::Tile(format!(
-                "receiver {at} of the tile has no answer in numbers"
+                "receiver {at} of the tile has a value that is not finite, or a wrong number of values"
             )));
         }
-        // Rounding can leave the range by less than the bound.
+        // Rounding errors can move a value out of the range 0 to 1 by less than the bound.
         values.extend(fractions.map(|x| (x as f32).clamp(0.0, 1.0)));
         bound = bound.max(answer.openness.bound);
     }

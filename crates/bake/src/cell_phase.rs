@@ -1,21 +1,21 @@
-//! Cells to be decided as the items of a phase that a crew shares.
+//! The cells to be decided, as the items of a phase that a crew shares.
 //!
-//! An answer is a decided cell, encoded as the output of a tile of one cell. A cell takes seconds to minutes,
-//! so a member gives one up when another member's answer is here.
+//! An answer is a decided cell, encoded as the output of a tile of one cell. A cell costs seconds to minutes,
+//! so a member stops deciding a cell when it receives another member's answer.
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use sightline_model::{CellSet, CellSets, Node, TileOutput, codec};
+use sightline_model::{CellSet, CellSets, SubtreeNode, TileOutput, codec};
 use sightline_numbers::varint;
 use sightline_sample::crew::{Crew, ForeignFinds, Phase};
 use sightline_sample::{TileError, Watcher};
 
-/// Why the cells of a tile are not decided.
+/// The reason why the cells of a tile are not decided.
 #[derive(Debug)]
 pub enum Undecided {
-    /// The tile was cancelled, or the crew needs this member no more.
+    /// The tile was cancelled, or the crew no longer needs this member.
     Cancelled,
-    /// A fault of the tile.
+    /// The tile cannot be computed, for this reason.
     Fault(String),
 }
 
@@ -36,8 +36,10 @@ struct Cells<'a> {
     fault: Mutex<Option<String>>,
 }
 
-/// Decides all cells, here or on other members of the crew. `compute` decides one, and may leave it half
-/// decided only when the tile is cancelled or its second argument has said that the cell is not needed.
+/// Decides all cells, on this member or on other members of the crew.
+///
+/// `compute` decides one cell. It may return a partly decided cell only if the tile is cancelled or its
+/// second argument returned true, because the cell is not needed.
 pub fn decide_shared(
     crew: &dyn Crew,
     sampled: &[CellSet],
@@ -75,7 +77,8 @@ pub fn decide_shared(
 }
 
 impl Cells<'_> {
-    /// Takes an answer in, unless there is one.
+    /// Stores `cell` as the answer of the item, unless the item already has an answer. Returns true if the
+    /// answer was stored.
     fn set(&self, item: usize, cell: CellSet) -> bool {
         let is_news = self.decided[item].set(cell).is_ok();
         if is_news {
@@ -88,12 +91,12 @@ impl Cells<'_> {
         let mut bytes = Vec::new();
         for (item, cell) in items.filter_map(|item| Some((item, self.decided[item].get()?))) {
             let alone = CellSets {
-                nodes: vec![Node::Cell],
+                nodes: vec![SubtreeNode::Cell],
                 cells: vec![cell.clone()],
                 pairs: None,
                 portals: Vec::new(),
             };
-            // Writing to memory does not fail; a cell that is left out would be computed again.
+            // Writing to memory does not fail. A cell that is skipped would be computed again.
             let Ok(coded) = codec::encode(&TileOutput::Cells(alone)) else {
                 continue;
             };
@@ -109,27 +112,31 @@ impl Cells<'_> {
         while !bytes.is_empty() {
             let mut number = || {
                 varint::read(&mut bytes, varint::MOST_BYTES)
-                    .map_err(|_| ForeignFinds("a number is cut off"))
+                    .map_err(|_| ForeignFinds("the number or the length of a cell is cut short"))
             };
             let (item, length) = (number()?, number()?);
             let item = usize::try_from(item)
                 .ok()
                 .filter(|item| *item < self.decided.len());
-            let item = item.ok_or(ForeignFinds("it names a cell that the tile does not have"))?;
+            let item = item.ok_or(ForeignFinds(
+                "the number of a cell is too large for the tile",
+            ))?;
             let length = usize::try_from(length)
                 .ok()
                 .filter(|length| *length <= bytes.len());
-            let (coded, rest) = bytes.split_at(length.ok_or(ForeignFinds("a cell is cut off"))?);
+            let (coded, rest) = bytes.split_at(length.ok_or(ForeignFinds("a cell is cut short"))?);
             bytes = rest;
             let sets = match codec::decode(coded, self.triangles) {
                 Ok(TileOutput::Cells(sets)) => sets,
                 _ => return Err(ForeignFinds("a cell cannot be read")),
             };
-            let [cell] =
-                <[CellSet; 1]>::try_from(sets.cells).map_err(|_| ForeignFinds("not one cell"))?;
+            let [cell] = <[CellSet; 1]>::try_from(sets.cells)
+                .map_err(|_| ForeignFinds("an answer does not contain exactly one cell"))?;
             let of_this = cell.unreached == self.sampled[item].unreached && cell.decision.is_some();
             if !of_this {
-                return Err(ForeignFinds("a cell is not decided"));
+                return Err(ForeignFinds(
+                    "a cell is not decided, or its unreached flag is wrong",
+                ));
             }
             cells.push((item, cell));
         }
@@ -145,7 +152,7 @@ impl Phase for Cells<'_> {
     fn prepare(&self) {}
 
     fn costs(&self) -> Vec<u64> {
-        // Cells that see much take long.
+        // Cells with many visible triangles cost much time.
         self.sampled
             .iter()
             .map(|cell| cell.visible.len() as u64)
@@ -158,7 +165,7 @@ impl Phase for Cells<'_> {
         is_needless: &(dyn Fn() -> bool + Sync),
     ) -> Result<(), TileError> {
         match (self.compute)(item, is_needless) {
-            // What was stopped is half decided.
+            // A stopped cell is only partly decided.
             Ok(_) if self.watcher.cancelled() => Err(TileError::Cancelled),
             Ok(_) if is_needless() => Ok(()),
             Ok(cell) => {

@@ -1,26 +1,26 @@
-//! Which cells of the division see the cells of a tile, decided exactly where sampling has joined none.
+//! The pairs of a tile's cells with other cells of the division, decided exactly unless sampling joined them.
 //!
-//! From each cell the division's tree is walked from its root. A box of the tree around cells that sampling
-//! has not joined with the cell is the target of one query: when it is hidden, so is every cell in it. A pair
-//! is decided by the tile of its cell with the lower number. Adaptive trees are left undecided: a tile does
-//! not know the cells of the other tiles.
+//! For each cell, the division's tree is traversed from its root. A box of the tree around cells that
+//! sampling has not joined with the cell is the target of one query: if the box is hidden, so is every cell
+//! in it. The tile of the cell with the lower number decides a pair. Adaptive trees remain undecided, because
+//! a tile does not have the cells of the other tiles.
 
 use std::ops::ControlFlow;
 
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::HiddenBox;
-use sightline_exact::{Cell, Cost, ExactScene, Found, box_from_cell};
+use sightline_exact::{Cell, ExactScene, FromCellAnswer, QueryCost, box_from_cell};
 use sightline_model::{CellSets, PairTable};
 use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL};
 
 use crate::deciding::Deciding;
 
-/// Part of a distance that covers the rounding of its computation in doubles.
+/// The fraction of a distance that covers the rounding of its computation in doubles.
 const MARGIN: f64 = 1e-12;
 
-/// What is found from one cell.
+/// The decided pairs of one cell: hidden cells, seen cells, and the proofs of hidden boxes.
 #[derive(Default)]
 struct Decided {
     hidden: Vec<u32>,
@@ -28,7 +28,16 @@ struct Decided {
     proofs: Vec<HiddenBox>,
 }
 
-/// Decides the pairs of a tile's cells, adds them to `sets`, and returns the proofs of each cell.
+/// A cell from which other cells are queried.
+struct FromCell<'a> {
+    at: &'a CellBox,
+    /// The number of the cell in the division's grid.
+    own: u32,
+    cell: Cell,
+}
+
+/// Decides the pairs of a tile's cells and adds them to `sets`. Returns, for each cell, the hidden boxes with
+/// their proofs.
 pub fn decide(
     deciding: &Deciding<'_>,
     cells: &[(CellBox, Cell)],
@@ -85,15 +94,16 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// The number of a grid cell.
+    /// Returns the number of a grid cell.
     fn number(&self, at: &CellBox) -> u32 {
         let [x, y, z] = at.lo.map(|u| u / UNITS_PER_CELL);
         (z * self.sides[1] + y) * self.sides[0] + x
     }
 
-    /// The numbers of the grid cells in a box.
-    fn numbers(&self, of: &CellBox) -> impl Iterator<Item = u32> + use<> {
-        let [xs, ys, zs] = [0, 1, 2].map(|a| of.lo[a] / UNITS_PER_CELL..of.hi[a] / UNITS_PER_CELL);
+    /// Returns the numbers of the grid cells in a box.
+    fn numbers(&self, cells: &CellBox) -> impl Iterator<Item = u32> + use<> {
+        let [xs, ys, zs] =
+            [0, 1, 2].map(|a| cells.lo[a] / UNITS_PER_CELL..cells.hi[a] / UNITS_PER_CELL);
         let [nx, ny, _] = self.sides;
         zs.flat_map(move |z| {
             let xs = xs.clone();
@@ -111,7 +121,7 @@ impl Walk<'_> {
     fn from(&self, at: &CellBox, cell: Cell) -> Decided {
         let mut out = Decided::default();
         let own = self.number(at);
-        // A stop leaves the rest undecided.
+        // If the work is stopped, the remaining pairs are undecided.
         let _ = self.below(
             &self
                 .deciding
@@ -119,13 +129,13 @@ impl Walk<'_> {
                 .division
                 .root(&self.deciding.scope.lattice),
             0,
-            (at, own, cell),
+            &FromCell { at, own, cell },
             &mut out,
         );
         out
     }
 
-    /// Whether every point of a box is farther from every point of another one than the job's lines reach.
+    /// Returns true if the minimum distance between two boxes exceeds the length of the job's sight lines.
     fn is_beyond(&self, a: &CellBox, b: &CellBox) -> bool {
         let gap = |a: [f64; 2], b: [f64; 2]| (b[0] - a[1]).max(a[0] - b[1]).max(0.0);
         self.deciding
@@ -133,7 +143,7 @@ impl Walk<'_> {
             .is_some_and(|far| self.distance(a, b, gap) > far * (1.0 + MARGIN))
     }
 
-    /// Whether all their points are so near to each other that lines between them are not ended.
+    /// Returns true if no line between two boxes is longer than the job's sight lines.
     fn is_within(&self, a: &CellBox, b: &CellBox) -> bool {
         let most = |a: [f64; 2], b: [f64; 2]| (b[1] - a[0]).max(a[1] - b[0]);
         self.deciding
@@ -141,13 +151,19 @@ impl Walk<'_> {
             .is_none_or(|far| self.distance(a, b, most) < far * (1.0 - MARGIN))
     }
 
-    /// The length of the vector whose components `of` gives from the sides of two boxes along each axis.
-    fn distance(&self, a: &CellBox, b: &CellBox, of: impl Fn([f64; 2], [f64; 2]) -> f64) -> f64 {
-        let [a, b] = [a, b].map(|of| of.world(&self.deciding.scope.lattice));
+    /// Computes the length of a vector. Its component on each axis is `axis_distance` of the ranges of two
+    /// boxes.
+    fn distance(
+        &self,
+        a: &CellBox,
+        b: &CellBox,
+        axis_distance: impl Fn([f64; 2], [f64; 2]) -> f64,
+    ) -> f64 {
+        let [a, b] = [a, b].map(|cell| cell.world(&self.deciding.scope.lattice));
         let sides =
             |(min, max): (Vec3, Vec3), axis: usize| [f64::from(min[axis]), f64::from(max[axis])];
         (0..3)
-            .map(|axis| of(sides(a, axis), sides(b, axis)))
+            .map(|axis| axis_distance(sides(a, axis), sides(b, axis)))
             .map(|x| x * x)
             .sum::<f64>()
             .sqrt()
@@ -155,18 +171,19 @@ impl Walk<'_> {
 
     fn below(
         &self,
-        of: &CellBox,
+        target: &CellBox,
         depth: u32,
-        (at, own, cell): (&CellBox, u32, Cell),
+        from: &FromCell<'_>,
         out: &mut Decided,
     ) -> ControlFlow<()> {
+        let FromCell { at, own, cell } = *from;
         if (self.stop)() {
             return ControlFlow::Break(());
         }
         let (mut any, mut all) = (false, true);
-        for other in self.numbers(of) {
+        for other in self.numbers(target) {
             let known = other == own || self.seen.has(own, other);
-            // Pairs with lower cells are decided elsewhere, and pairs without viewpoints nowhere.
+            // The tile of the lower cell decides a pair. A pair of cells without viewpoints is never decided.
             any |= !known && other > own && (self.is_reached(own) || self.is_reached(other));
             all &= !known;
         }
@@ -177,34 +194,43 @@ impl Walk<'_> {
             .deciding
             .scope
             .division
-            .split(&self.deciding.scope.lattice, of, depth);
-        let (min, max) = of.world(&self.deciding.scope.lattice);
-        if all && self.is_beyond(at, of) {
-            out.hidden.extend(self.numbers(of));
+            .split(&self.deciding.scope.lattice, target, depth);
+        let (min, max) = target.world(&self.deciding.scope.lattice);
+        if all && self.is_beyond(at, target) {
+            out.hidden.extend(self.numbers(target));
             return ControlFlow::Continue(());
         }
         if all {
-            let mut cost = Cost::default();
-            let limits = (&self.deciding.limits, self.stop as &dyn Fn() -> bool);
+            let mut cost = QueryCost::default();
+            let limits = &self.deciding.limits;
             let bounds = Aabb { min, max };
-            match box_from_cell(self.scene.occluders(), cell, bounds, limits, &mut cost) {
-                Some(Found::Hidden(proofs)) => {
-                    out.hidden.extend(self.numbers(of));
+            match box_from_cell(
+                self.scene.occluders(),
+                cell,
+                bounds,
+                limits,
+                self.stop,
+                &mut cost,
+            ) {
+                Some(FromCellAnswer::Hidden(proofs)) => {
+                    out.hidden.extend(self.numbers(target));
                     if self.deciding.certificates {
                         out.proofs.push(HiddenBox { bounds, proofs });
                     }
                     return ControlFlow::Continue(());
                 }
-                // A segment longer than the job's distance shows nothing.
-                Some(Found::Visible(_)) if split.is_none() && self.is_within(at, of) => {
-                    out.seen.push(self.number(of));
+                // A segment longer than the job's distance does not show that the box is visible.
+                Some(FromCellAnswer::Visible(_))
+                    if split.is_none() && self.is_within(at, target) =>
+                {
+                    out.seen.push(self.number(target));
                 }
-                Some(Found::Visible(_) | Found::Undecided(_)) | None => {}
+                Some(FromCellAnswer::Visible(_) | FromCellAnswer::Undecided(_)) | None => {}
             }
         }
         if let Some(split) = split {
-            for child in of.children(split) {
-                self.below(&child, depth + 1, (at, own, cell), out)?;
+            for child in target.children(split) {
+                self.below(&child, depth + 1, from, out)?;
             }
         }
         ControlFlow::Continue(())

@@ -1,6 +1,6 @@
-//! The choices with which exact queries decide the cells of a tile.
+//! The rules with which exact queries decide the cells of a tile.
 
-use sightline_exact::Limits;
+use sightline_exact::QueryLimits;
 use sightline_model::{Effort, Visibility};
 
 use crate::choices::exact_limits;
@@ -8,18 +8,19 @@ use crate::scope::TileScope;
 
 /// The rules by which the cells of a tile are decided.
 pub struct Deciding<'a> {
-    /// The cells.
+    /// The division, lattice and cells of the tile.
     pub scope: &'a TileScope,
     /// The limits of a single query.
-    pub limits: Limits,
-    /// Whether certificates are kept.
+    pub limits: QueryLimits,
+    /// True if certificates are stored.
     pub certificates: bool,
-    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    /// The distance from the viewpoint at which sight lines end, in the scene's units; `None` for unlimited
+    /// sight.
     pub far: Option<f64>,
 }
 
 impl<'a> Deciding<'a> {
-    /// Finds how a task decides the cells of a tile.
+    /// Creates the rules with which a task decides the cells of a tile.
     pub fn new(task: &Visibility, effort: Effort, scope: &'a TileScope) -> Self {
         Self {
             scope,

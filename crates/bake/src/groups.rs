@@ -1,28 +1,28 @@
-//! The cells of a tile's subtree, and the groups that exact queries treat as one box.
+//! The cells of a tile's subtree, and the cell groups that exact queries treat as one box.
 
 use std::ops::Range;
 
-use sightline_model::Node;
+use sightline_model::SubtreeNode;
 use sightline_viewcells::CellBox;
 
 use crate::choices::GROUP_CELLS;
 
-/// A box of the tree around several cells, from which triangles are decided once for all of them.
+/// A box of the tree around several cells, from which triangles are decided once for all these cells.
 pub struct CellGroup {
-    /// The box.
+    /// The box around the cells.
     pub around: CellBox,
-    /// Its cells, by their numbers in the tile.
+    /// The numbers of the group's cells in the tile.
     pub cells: Range<usize>,
 }
 
-/// The boxes of a subtree's cells, in preorder, and the cell groups: the largest boxes of the tree around
-/// [`GROUP_CELLS`] cells.
-pub fn cells_and_groups(root: &CellBox, nodes: &[Node]) -> (Vec<CellBox>, Vec<CellGroup>) {
+/// Returns the boxes of a subtree's cells, in preorder, and the cell groups. Groups are the largest boxes of
+/// the tree that contain [`GROUP_CELLS`] cells.
+pub fn cells_and_groups(root: &CellBox, nodes: &[SubtreeNode]) -> (Vec<CellBox>, Vec<CellGroup>) {
     // The number of cells below each node, counted from the last node.
     let mut below = vec![1; nodes.len()];
     let mut open: Vec<usize> = Vec::new();
     for (i, node) in nodes.iter().enumerate().rev() {
-        if let Node::Split(_) = node {
+        if let SubtreeNode::Split(_) = node {
             let both = open.pop().unwrap_or(0) + open.pop().unwrap_or(0);
             below[i] = both;
         }
@@ -42,11 +42,11 @@ pub fn cells_and_groups(root: &CellBox, nodes: &[Node]) -> (Vec<CellBox>, Vec<Ce
             });
         }
         match node {
-            Node::Split(split) => {
+            SubtreeNode::Split(split) => {
                 let [below, above] = cell.children(*split);
                 waiting.extend([above, below]);
             }
-            Node::Cell => cells.push(cell),
+            SubtreeNode::Cell => cells.push(cell),
         }
     }
     (cells, groups)
@@ -59,8 +59,8 @@ mod tests {
 
     use super::*;
 
-    /// The subtree of a grid in preorder.
-    fn grid(cells: [u32; 3]) -> (CellBox, Vec<Node>) {
+    /// Returns the subtree of a grid in preorder.
+    fn grid(cells: [u32; 3]) -> (CellBox, Vec<SubtreeNode>) {
         let division = Division::Grid(cells);
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let root = division.root(&lattice);
@@ -68,18 +68,18 @@ mod tests {
         while let Some((cell, depth)) = waiting.pop() {
             match division.split(&lattice, &cell, depth) {
                 Some(split) => {
-                    nodes.push(Node::Split(split));
+                    nodes.push(SubtreeNode::Split(split));
                     let [below, above] = cell.children(split);
                     waiting.extend([(above, depth + 1), (below, depth + 1)]);
                 }
-                None => nodes.push(Node::Cell),
+                None => nodes.push(SubtreeNode::Cell),
             }
         }
         (root, nodes)
     }
 
     #[test]
-    fn groups_hold_their_cells_and_do_not_overlap() {
+    fn groups_contain_their_cells_and_do_not_overlap() {
         for (size, sizes) in [
             ([1, 1, 1], vec![]),
             ([3, 1, 1], vec![]),

@@ -1,7 +1,7 @@
 //! The inputs of a tile in addition to its job.
 
 use sightline_model::receivers::Receivers;
-use sightline_trace::Backend;
+use sightline_trace::Tracer;
 
 use crate::{BakeScene, PackDigest};
 
@@ -14,21 +14,21 @@ pub enum PackBytes<'a> {
     Lost(PackDigest),
 }
 
-/// The inputs of a tile in addition to its job. Which of them it needs depends on the job's task.
+/// The inputs of a tile in addition to its job. The job's task determines the inputs that the tile needs.
 #[derive(Clone, Copy)]
 pub struct Inputs<'a> {
     /// The scene.
     pub scene: &'a BakeScene,
     /// The tracer, for jobs that sample.
-    pub tracer: Option<&'a dyn Backend>,
-    /// The packs of the tiles that the tile needs, in the plan's order.
+    pub tracer: Option<&'a dyn Tracer>,
+    /// The packs that the tile needs from other tiles, in the plan's order.
     pub packs: &'a [PackBytes<'a>],
-    /// The receivers that a job of ambient occlusion names.
+    /// The receivers that a job of ambient occlusion references.
     pub receivers: Option<&'a Receivers>,
 }
 
 impl<'a> Inputs<'a> {
-    /// Makes the inputs of a tile that needs only a scene.
+    /// Creates the inputs of a tile that needs only a scene.
     pub fn new(scene: &'a BakeScene) -> Self {
         Self {
             scene,
@@ -38,14 +38,14 @@ impl<'a> Inputs<'a> {
         }
     }
 
-    /// Adds a tracer.
+    /// Adds the tracer.
     #[must_use]
-    pub fn with_tracer(self, tracer: &'a dyn Backend) -> Self {
+    pub fn with_tracer(self, tracer: &'a dyn Tracer) -> Self {
         let tracer = Some(tracer);
         Self { tracer, ..self }
     }
 
-    /// Adds the packs of the tiles that the tile needs.
+    /// Adds the packs that the tile needs from other tiles.
     #[must_use]
     pub fn with_packs(self, packs: &'a [PackBytes<'a>]) -> Self {
         Self { packs, ..self }

@@ -1,49 +1,49 @@
-//! What a tile is run with, and how it ends.
+//! The controls of a tile's computation, and its outcome.
 
 use std::time::Instant;
 
 use sightline_sample::crew::Crew;
 use sightline_sample::{TileError, Watcher};
-use sightline_trace::BackendError;
+use sightline_trace::TracerError;
 
 use crate::cell_phase::Undecided;
 
-/// BLAKE3 digest of a pack.
+/// The BLAKE3 digest of a pack.
 pub type PackDigest = [u8; 32];
 
-/// Who watches a tile, and when it has to end.
+/// The watcher, deadline and crew of a tile.
 #[derive(Clone, Copy)]
 pub struct Control<'a> {
-    /// Receives the progress and decides whether the tile goes on.
+    /// The watcher, which receives the progress and can cancel the tile.
     pub watcher: &'a dyn Watcher,
-    /// The end of a time budget.
+    /// The end of a time budget; `None` without a budget.
     pub deadline: Option<Instant>,
-    /// Those who share the sampling of a block; [`crate::Alone`] for nobody else. With a time budget members
-    /// would not stop at the same place, so there must be one.
+    /// The crew that shares the work of a block; [`crate::SoleMember`] for a worker without helpers. With a
+    /// time budget, members would stop at different cells, so the crew must be a sole member.
     pub crew: &'a dyn Crew,
 }
 
 /// A finished tile.
 #[derive(Debug)]
 pub struct TileDone {
-    /// The tile's output, encoded.
+    /// The encoded output of the tile.
     pub bytes: Vec<u8>,
-    /// Cubes rendered or rays traced.
+    /// The number of rendered cubes, traced rays, or receivers with an answer.
     pub samples: u64,
-    /// Packs that were computed again, with their digests.
+    /// The lost packs that were computed again, with their digests.
     pub recomputed: Vec<(PackDigest, Vec<u8>)>,
 }
 
-/// Why a tile has no output.
+/// The reason why a tile has no output.
 #[derive(Debug, thiserror::Error)]
 pub enum BakeError {
-    /// The watcher stopped it.
+    /// The watcher cancelled the tile.
     #[error("the tile was cancelled")]
     Cancelled,
-    /// The backend failed; the same tile may succeed with a backend that is opened again.
+    /// The backend failed. The same tile may succeed with a backend that is opened again.
     #[error(transparent)]
-    Backend(BackendError),
-    /// The tile itself cannot be computed here.
+    Backend(TracerError),
+    /// The tile cannot be computed on this worker.
     #[error("{0}")]
     Tile(String),
 }
@@ -66,7 +66,7 @@ impl From<Undecided> for BakeError {
     }
 }
 
-/// A fault of a tile.
+/// Creates the error of a tile that cannot be computed.
 pub fn tile_error(e: impl std::fmt::Display) -> BakeError {
     BakeError::Tile(e.to_string())
 }

@@ -1,61 +1,64 @@
-//! A tile of the method portals: what portals do not hide, with a witness or undecided.
+//! A tile of the method portals: triangles that portals do not hide have a witness or are undecided.
 //!
-//! No backend takes part. Doubles are only added, multiplied, divided and rooted, which every machine does
-//! alike, so the bytes depend on the specification and the scene alone.
+//! No tracer is used. The computation only adds, multiplies and divides doubles and extracts square roots.
+//! These operations have the same result on every machine, so the bytes depend only on the specification and
+//! the scene.
 
 use std::time::Instant;
 
 use rayon::prelude::*;
-use sightline_exact::{Task, decide_listed};
+use sightline_exact::{CellTask, decide_listed};
 use sightline_model::{
-    CellSet, CellSets, Decision, Effort, Node, PlannedJob, TileOutput, Visibility, codec,
+    CellSet, CellSets, Decision, Effort, PlannedJob, SubtreeNode, TileOutput, Visibility, codec,
 };
 use sightline_portals::{NoPartition, OpenFaces, Partition, table};
 use sightline_pvs::Portals;
 use sightline_scene::Scene;
-use sightline_viewcells::CellBox;
+use sightline_viewcells::{CellBox, TileIndex};
 
+use crate::cell_decider::{exact_cell, is_within, listed, statistics};
 use crate::cell_phase::decide_shared;
 use crate::choices::{box_seed, exact_limits};
-use crate::decide::{exact_cell, is_within, listed, statistics};
 use crate::groups::cells_and_groups;
+use crate::job_region::JobRegion;
 use crate::outcome::{BakeError, Control, TileDone, tile_error};
 use crate::scene::BakeScene;
 use crate::scope::TileScope;
-use crate::within::JobRegion;
 
 /// Computes tile `number` of a job of the method portals.
 ///
 /// # Errors
-/// [`BakeError`]; a cancelled tile is one.
+/// [`BakeError::Cancelled`] if the watcher cancels the tile; [`BakeError::Tile`] if the tile cannot be
+/// computed.
 ///
 /// # Panics
-/// On a thread of rayon's pool, which could wait for itself.
+/// Panics on a thread of rayon's pool, because the thread could wait for itself.
 pub fn run(
     job: &PlannedJob,
     task: &Visibility,
-    number: u32,
+    number: TileIndex,
     scene: &BakeScene,
     control: Control<'_>,
 ) -> Result<TileDone, BakeError> {
     let scope = TileScope::new(job, task, number)?;
     let (tile, lattice) = (&scope.tile, &scope.lattice);
-    let within = JobRegion::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
+    let job_region =
+        JobRegion::from_viewpoints(task.viewpoints(), scene.scene()).map_err(tile_error)?;
     let sets = empty_cells(&scope);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
     let watcher = control.watcher;
     let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
     let partition = match scene.partition(task, &|| watcher.cancelled() || late()) {
-        // What was not looked for in time may be seen.
+        // Triangles for which the time did not suffice may be visible.
         Err(NoPartition::Stopped) => None,
         made => Some(made.map_err(tile_error)?),
     };
     let exact = scene.exact().map_err(BakeError::Tile)?;
-    let places = within.as_ref().map(JobRegion::places);
+    let region = job_region.as_ref().map(JobRegion::exact);
     let faces = scope
         .is_open
-        .then(|| OpenFaces::new(scene.scene(), scope.view_box, places));
-    let places = faces.as_ref().map(|faces| faces as _).or(places);
+        .then(|| OpenFaces::new(scene.scene(), scope.view_box, region));
+    let region = faces.as_ref().map(|faces| faces as _).or(region);
     let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
         let mut set = sets.cells[item].clone();
         if set.unreached {
@@ -68,10 +71,10 @@ pub fn run(
             .as_ref()
             .and_then(|p| listed(p, world, scope.is_open, stop))
             .unwrap_or_else(all);
-        let decided = decide_listed(&Task {
+        let decided = decide_listed(&CellTask {
             scene: exact,
             cell: exact_cell(&boxes[item], lattice)?,
-            places,
+            region,
             seen: &[],
             above: &[],
             listed: Some(&found),
@@ -133,8 +136,8 @@ pub fn run(
     }
     let rays = |cell: &CellSet| cell.decision.as_ref().map_or(0, Decision::rays);
     let samples = cells.iter().map(rays).sum();
-    // The result has the portals once.
-    let portals = if number == 0 {
+    // Only the first tile has the portals, so that the result contains the portals once.
+    let portals = if number == TileIndex(0) {
         encoded(partition.as_deref(), scene.scene())
     } else {
         Vec::new()
@@ -152,26 +155,26 @@ pub fn run(
     })
 }
 
-/// The scene divided along its walls as the result has it. What was not divided in time is one leaf.
+/// Encodes the scene's division along its walls for the result. Without a partition, the scene is one leaf.
 pub fn encoded(partition: Option<&Partition>, scene: &Scene) -> Vec<u8> {
     partition
         .map_or_else(|| Portals::undivided(scene.len()), table)
         .encode()
 }
 
-/// The cells of a tile, before anything is known but which have viewpoints.
+/// Returns the cells of a tile with empty sets. Cells without viewpoints are marked as unreached.
 fn empty_cells(scope: &TileScope) -> CellSets {
     let mut sets = CellSets::default();
     let mut open: Vec<(CellBox, u32)> = vec![(scope.tile.cell, scope.tile.depth)];
     while let Some((at, depth)) = open.pop() {
         match scope.division.split(&scope.lattice, &at, depth) {
             Some(split) => {
-                sets.nodes.push(Node::Split(split));
+                sets.nodes.push(SubtreeNode::Split(split));
                 let [below, above] = at.children(split);
                 open.extend([(above, depth + 1), (below, depth + 1)]);
             }
             None => {
-                sets.nodes.push(Node::Cell);
+                sets.nodes.push(SubtreeNode::Cell);
                 let unreached = scope.marks(&at) == 0;
                 sets.cells.push(CellSet {
                     unreached,

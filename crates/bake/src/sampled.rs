@@ -1,5 +1,6 @@
-//! A tile of a job that samples: its sets or samples, and, with exact methods, the decision about every
-//! triangle that sampling did not show.
+//! The computation of a tile of a job that samples: the sets of cells, or samples for other tiles.
+//!
+//! With exact methods, the tile also decides about every triangle that sampling did not show.
 
 use std::time::Instant;
 
@@ -8,24 +9,26 @@ use sightline_portals::{NoPartition, OpenFaces};
 use sightline_sample::crew::{Crew, Phase};
 use sightline_sample::lines::hits;
 use sightline_sample::{JobContext, TileError, Watcher, tile};
-use sightline_trace::{Backend, BackendError};
-use sightline_viewcells::{Plan, TileKind};
+use sightline_trace::{Tracer, TracerError};
+use sightline_viewcells::{Plan, TileIndex, TileKind};
 
+use crate::cell_decider::{self, CellDecider};
 use crate::choices::sampling_deadline;
-use crate::decide;
 use crate::deciding::Deciding;
 use crate::inputs::{Inputs, PackBytes};
+use crate::job_region::JobRegion;
 use crate::outcome::tile_error;
 use crate::scope::TileScope;
-use crate::within::JobRegion;
 use crate::{BakeError, Control, PackDigest, TileDone, groups, portals};
 
-/// Computes tile `number` of a job.
+/// Computes tile `number` of a job that samples.
 pub fn run(
     job: &PlannedJob,
-    (task, sampling): (&Visibility, &Sampling),
-    number: u32,
-    (inputs, backend): (Inputs<'_>, &dyn Backend),
+    task: &Visibility,
+    sampling: &Sampling,
+    number: TileIndex,
+    inputs: Inputs<'_>,
+    tracer: &dyn Tracer,
     control: Control<'_>,
 ) -> Result<TileDone, BakeError> {
     let Inputs { scene, packs, .. } = inputs;
@@ -34,7 +37,7 @@ pub fn run(
     let watcher = control.watcher;
     if task.is_decided() && scene.scene().kinds().any_masked() {
         return Err(BakeError::Tile(
-            "the method decides exactly, and exact queries do not read alpha masks; use the method \
+            "the job's method uses exact queries, which do not read alpha masks; use the method \
              aggressive, or a scene whose masked triangles are see-through"
                 .to_owned(),
         ));
@@ -43,10 +46,11 @@ pub fn run(
         Method::Exact { effort, .. } if tile.kind == TileKind::Leaf => Some(effort),
         _ => None,
     };
-    // The members of the crew decide the cells as well.
+    // The members of the crew also decide the cells.
     let decides = exact.is_some() && control.deadline.is_none();
     let decided_later = Open(control.crew);
-    let places = JobRegion::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
+    let job_region =
+        JobRegion::from_viewpoints(task.viewpoints(), scene.scene()).map_err(tile_error)?;
     let context = JobContext {
         scene: scene.sampling(),
         division: scope.division.clone(),
@@ -55,9 +59,9 @@ pub fn run(
         items: task.items(),
         far: task.far.map(|far| far.get()),
         viewpoints: scope.mask.as_deref(),
-        places: places.as_ref().map(|p| p as _),
+        region: job_region.as_ref().map(|region| region as _),
         pairs: task.pair_cells(),
-        backend,
+        backend: tracer,
         seed: scope.seed,
         deadline: sampling_deadline(task.is_decided(), control.deadline),
         crew: if decides {
@@ -68,7 +72,7 @@ pub fn run(
     };
     if packs.len() != tile.needs.len() {
         return Err(BakeError::Tile(format!(
-            "it needs {} packs and was given {}; give one for each tile that it needs",
+            "the tile needs {} packs, but the caller passed {}; pass one for each needed tile",
             tile.needs.len(),
             packs.len()
         )));
@@ -80,7 +84,7 @@ pub fn run(
         let bytes = match pack {
             PackBytes::Present(bytes) => *bytes,
             PackBytes::Lost(digest) => {
-                fresh = again(&context, job.plan(), *needed, *digest, watcher)?;
+                fresh = recompute_pack(&context, job.plan(), TileIndex(*needed), *digest, watcher)?;
                 recomputed.push((*digest, fresh.clone()));
                 &fresh
             }
@@ -95,39 +99,43 @@ pub fn run(
         watcher
     };
     let (mut output, counters) = tile::run(&context, tile, &decoded, sampling_watcher)?;
-    tracing::debug!(tile = number, ?counters, "tile sampled");
+    tracing::debug!(tile = number.0, ?counters, "tile sampled");
     if let (Some(effort), TileOutput::Cells(sets)) = (exact, &mut output) {
         let prepared = scene.exact().map_err(BakeError::Tile)?;
-        let with = (control.deadline, watcher, control.crew);
-        let within = places.as_ref().map(JobRegion::places);
+        let region = job_region.as_ref().map(JobRegion::exact);
         let faces = scope
             .is_open
-            .then(|| OpenFaces::new(scene.scene(), scope.view_box, within));
-        let within = faces.as_ref().map(|faces| faces as _).or(within);
-        // Portals save time where walls enclose the viewpoints; elsewhere they hide little that groups of
-        // cells do not (docs/experiments/portals.md). A region has no certificates, which portals could not
-        // give.
+            .then(|| OpenFaces::new(scene.scene(), scope.view_box, region));
+        let region = faces.as_ref().map(|faces| faces as _).or(region);
+        // Portals save time if walls enclose the viewpoints. Otherwise portals hide few triangles that cell
+        // groups do not hide (docs/experiments/portals.md). Jobs with a region store no certificates, which
+        // portals could not provide.
         let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
-        let made = places
+        let made = job_region
             .is_some()
             .then(|| scene.partition(task, &|| watcher.cancelled() || late()));
         let partition = match made {
             None | Some(Err(NoPartition::Stopped)) => None,
             Some(made) => Some(made.map_err(tile_error)?),
         };
-        if task.has_portals() && number == 0 {
+        if task.has_portals() && number == TileIndex(0) {
             sets.portals = portals::encoded(partition.as_deref(), scene.scene());
         }
-        let exact_inputs = (prepared, partition.as_deref(), scope.is_open);
-        let deciding = Deciding::new(task, effort, &scope);
-        decide::cells((&deciding, within), &tile.cell, sets, exact_inputs, with)?;
+        let decider = CellDecider {
+            deciding: &Deciding::new(task, effort, &scope),
+            scene: prepared,
+            region,
+            partition: partition.as_deref(),
+            watcher,
+        };
+        cell_decider::cells(decider, &tile.cell, sets, control.deadline, control.crew)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }
         if decides {
             control.crew.end()?;
         }
-        tracing::debug!(tile = number, "tile decided");
+        tracing::debug!(tile = number.0, "tile decided");
     }
     let mut samples = counters.rendered;
     if let (true, TileOutput::Cells(sets)) = (sampling.contributions, &mut output) {
@@ -135,7 +143,7 @@ pub fn run(
         samples += hits::count(&context, &boxes, &mut sets.cells, watcher)?;
     }
     let bytes = codec::encode(&output).map_err(tile_error)?;
-    tracing::debug!(tile = number, bytes = bytes.len(), "tile encoded");
+    tracing::debug!(tile = number.0, bytes = bytes.len(), "tile encoded");
     Ok(TileDone {
         bytes,
         samples,
@@ -143,11 +151,11 @@ pub fn run(
     })
 }
 
-/// Computes the bytes of a lost pack again.
-fn again(
+/// Computes a lost pack again and checks its digest.
+fn recompute_pack(
     job: &JobContext<'_>,
     plan: &Plan,
-    number: u32,
+    number: TileIndex,
     digest: PackDigest,
     watcher: &dyn Watcher,
 ) -> Result<Vec<u8>, BakeError> {
@@ -157,24 +165,23 @@ fn again(
         return Ok(bytes);
     }
     Err(BakeError::Tile(format!(
-        "the pack of tile {number} was computed again and came out different; the machine, driver or \
-            program of a \
-         worker differs from its profile"
+        "the pack of tile {number} was computed again with different bytes; the machine, driver or \
+         program of a worker differs from its profile"
     )))
 }
 
 /// Computes the encoded output of a tile together with the packs that it needs. The depth of the kd-tree
-/// bounds their number, and the plan puts every tile after those it needs.
+/// bounds the recursion, and the plan lists every tile after the tiles that it needs.
 fn recompute(
     job: &JobContext<'_>,
     plan: &Plan,
-    number: u32,
+    number: TileIndex,
     watcher: &dyn Watcher,
 ) -> Result<Vec<u8>, BakeError> {
-    let tile = &plan.tiles[number as usize];
+    let tile = &plan.tiles[number.at()];
     let mut packs: Vec<Pack> = Vec::with_capacity(tile.needs.len());
     for need in &tile.needs {
-        let bytes = recompute(job, plan, *need, watcher)?;
+        let bytes = recompute(job, plan, TileIndex(*need), watcher)?;
         packs
             .push(codec::decode_pack(&bytes, job.scene.scene().len(), &tile.cell).map_err(broken)?);
     }
@@ -182,15 +189,15 @@ fn recompute(
     codec::encode(&output).map_err(broken)
 }
 
-/// Makes the error of a pack that was encoded here and cannot be read here.
+/// Creates the error of a pack that this worker encoded and cannot decode.
 fn broken(e: impl std::fmt::Display) -> BakeError {
-    BakeError::Backend(BackendError::Failed {
+    BakeError::Backend(TracerError::Failed {
         profile: "this worker".to_owned(),
         reason: e.to_string(),
     })
 }
 
-/// A crew that continues after the sampler has ended it.
+/// A crew that ignores the end that the sampler reports, because the members still decide the cells.
 struct Open<'a>(&'a dyn Crew);
 
 impl Crew for Open<'_> {
@@ -203,7 +210,8 @@ impl Crew for Open<'_> {
     }
 }
 
-/// Watches the sampling of a tile whose cells are finished only when they are decided.
+/// A watcher of the sampling of a tile. This watcher does not count cells as done, because the tile still has
+/// to decide them.
 struct WithoutCells<'a>(&'a dyn Watcher);
 
 impl Watcher for WithoutCells<'_> {

@@ -1,8 +1,8 @@
-//! The cells of a tile, with everything about them that sampling and exact queries ask for.
+//! The cells of a tile, with the facts about them that sampling and exact queries need.
 //!
 //! A tile of a grid or an adaptive tree has the division of its job. Each box of a tree is a separate grid of
-//! one cell. Boxes are open: a wall in a face blocks ([`sightline_portals::OpenFaces`]). Rays keep off these
-//! walls ([`sightline_portals::open_box()`]).
+//! one cell. Boxes are open: a wall in a face blocks ([`sightline_portals::OpenFaces`]). Rays keep a distance
+//! from these walls ([`sightline_portals::open_box()`]).
 
 use std::sync::Arc;
 
@@ -11,36 +11,39 @@ use sightline_numbers::Aabb;
 use sightline_portals::open_box;
 use sightline_scene::Scene;
 use sightline_viewcells::division::{GAP, ROUNDING};
-use sightline_viewcells::{Division, DivisionError, Lattice, Layout, PartMask, Plan, Tile};
+use sightline_viewcells::{
+    Division, DivisionError, Lattice, Layout, PartMask, Plan, Tile, TileIndex,
+};
 
 use crate::outcome::{BakeError, tile_error};
 
-/// The cells of a tile.
+/// A tile's cells, with their division, lattice and viewpoints.
 pub struct TileScope {
-    /// The tile.
+    /// The tile in the plan of its division.
     pub tile: Tile,
-    /// The division whose cells they are.
+    /// The division that contains the cells.
     pub division: Division,
     /// The division's lattice.
     pub lattice: Lattice,
     /// The box that the division divides, in world space.
     pub view_box: Aabb,
-    /// The marks of viewpoints in the cells; `None` for viewpoints everywhere.
+    /// The marked parts of the cells, which contain viewpoints; `None` for viewpoints everywhere.
     pub mask: Option<Arc<PartMask>>,
-    /// Seed of the random numbers.
+    /// The seed of the random numbers.
     pub seed: u64,
-    /// Whether the cell is a box whose faces are open.
+    /// True if the cell is a box whose faces are open.
     pub is_open: bool,
 }
 
 impl TileScope {
-    /// Finds the cells of a tile of a job.
+    /// Computes the scope of a tile of a job.
     ///
     /// # Errors
-    /// [`BakeError::Tile`] for a number that the plan does not have.
-    pub fn new(job: &PlannedJob, task: &Visibility, number: u32) -> Result<Self, BakeError> {
-        let tile = job.plan().tiles.get(number as usize);
-        let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
+    /// [`BakeError::Tile`] if the plan has no tile with this number, or a box cannot be a grid of one cell.
+    pub fn new(job: &PlannedJob, task: &Visibility, number: TileIndex) -> Result<Self, BakeError> {
+        let tile = job.plan().tiles.get(number.at());
+        let tile = tile
+            .ok_or_else(|| BakeError::Tile("the plan has no tile with this number".to_owned()))?;
         let whole = Self {
             tile: tile.clone(),
             division: task.division().clone(),
@@ -56,7 +59,7 @@ impl TileScope {
         }
     }
 
-    /// Makes the grid of one cell of a box.
+    /// Creates the scope of a box: a grid of one cell.
     fn of_box(self) -> Result<Self, DivisionError> {
         let (min, max) = self.tile.cell.world(&self.lattice);
         let number = self
@@ -72,7 +75,7 @@ impl TileScope {
             mask: self
                 .mask
                 .map(|mask| Arc::new(PartMask::single(mask.parts(number)))),
-            // Boxes would have the same random numbers.
+            // Each box needs its own seed; otherwise all boxes use the same random numbers.
             seed: self
                 .seed
                 .wrapping_add((number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)),
@@ -83,10 +86,11 @@ impl TileScope {
         })
     }
 
-    /// Returns the lattice of rays: within an open box, off the walls in its faces.
+    /// Returns the lattice that positions rays. In an open box, rays keep a distance from the walls in the
+    /// box's faces.
     ///
     /// # Errors
-    /// [`DivisionError`] for a box that is too thin.
+    /// [`DivisionError`] if the box is too thin.
     pub fn traced_lattice(&self, scene: &Scene) -> Result<Lattice, DivisionError> {
         if !self.is_open {
             return Ok(self.lattice.clone());
@@ -97,7 +101,8 @@ impl TileScope {
         self.division.lattice(min, max)
     }
 
-    /// Returns the marked parts of a cell: a bit for each part where viewpoints are.
+    /// Returns the marked parts of a cell. A bit is set for each part that contains viewpoints; all bits are
+    /// set if there is no mask.
     pub fn marks(&self, cell: &sightline_viewcells::CellBox) -> u64 {
         let number = self.division.number(&self.lattice, cell);
         match (&self.mask, number) {

@@ -1,11 +1,6 @@
-//! Boxes along walls: open boxes, of which walls in a face block.
+//! Tests of boxes along walls: open boxes, in which walls in a face block.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stderr,
-    reason = "helpers of tests"
-)]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 #[path = "common/cpu.rs"]
@@ -16,17 +11,18 @@ use std::sync::Arc;
 use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, Inputs, run};
-use sightline_exact::{Cell, ExactScene, Task as ExactTask, decide};
+use sightline_bake::{BakeScene, Control, Inputs, SoleMember, run};
+use sightline_exact::{Cell, CellTask as ExactTask, ExactScene, decide};
 use sightline_model::{
     BoxCells, CellToCell, Effort, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling,
     SceneFacts, Task, TileOutput, TracerChoice, Visibility, codec,
 };
 use sightline_portals::along_walls;
 use sightline_scene::Scene;
-use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
+use sightline_viewcells::TileIndex;
 
-/// The set of a tile of one cell.
+/// Returns the set of a tile of one cell.
 fn set(bytes: &[u8], scene: &Scene) -> Vec<u32> {
     match codec::decode(bytes, scene.len()).unwrap() {
         TileOutput::Cells(sets) if sets.cells.len() == 1 => sets.cells[0].visible.clone(),
@@ -34,16 +30,16 @@ fn set(bytes: &[u8], scene: &Scene) -> Vec<u32> {
     }
 }
 
-/// What exact queries say of a closed box.
+/// Returns the set of a closed box from exact queries.
 fn of_closed(prepared: &ExactScene, min: Vec3, max: Vec3) -> Vec<u32> {
     decide(&ExactTask {
         scene: prepared,
         cell: Cell::new(min, max).unwrap(),
-        places: None,
+        region: None,
         seen: &[],
         above: &[],
         listed: None,
-        limits: sightline_exact::Limits::default(),
+        limits: sightline_exact::QueryLimits::default(),
         seed: 3,
         keep: false,
         stop: &|| false,
@@ -53,12 +49,12 @@ fn of_closed(prepared: &ExactScene, min: Vec3, max: Vec3) -> Vec<u32> {
 }
 
 #[test]
-fn a_wall_in_a_face_blocks() {
-    let params = Params {
+fn wall_in_face_of_box_blocks() {
+    let params = SceneParams {
         triangles: Some(500),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    let scene = Arc::new(generate(Kind::Rooms, &params).unwrap());
+    let scene = Arc::new(generate(SceneKind::Rooms, &params).unwrap());
     let tree = along_walls(&scene, scene.bounds(), 14, &|_| true);
     let cells =
         || KnownCells::Boxes(BoxCells::new(scene.bounds(), Arc::new(tree.clone())).unwrap());
@@ -82,13 +78,11 @@ fn a_wall_in_a_face_blocks() {
     let sampled = job(Method::aggressive(sampling()));
     let exact = job(Method::exact(sampling(), Effort::Full));
     let portals = job(Method::portals(cells()));
-    let Some(backend) = cpu(&scene, exact.spec()) else {
-        return;
-    };
+    let backend = cpu(&scene, exact.spec());
     let control = Control {
         watcher: &Quiet,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let prepared = BakeScene::new(Arc::clone(&scene)).unwrap();
     let queries = ExactScene::prepare(&scene).unwrap();
@@ -99,11 +93,11 @@ fn a_wall_in_a_face_blocks() {
     for (number, tile) in plan.tiles.iter().enumerate() {
         let inputs = Inputs::new(&prepared).with_tracer(&backend);
         let [shown, open, walls] = [&sampled, &exact, &portals].map(|job| {
-            let done = run(job, number as u32, inputs, control).unwrap();
+            let done = run(job, TileIndex(number as u32), inputs, control).unwrap();
             set(&done.bytes, &scene)
         });
         let (min, max) = tile.cell.world(lattice);
-        // Of a box a little inside, walls in the faces block in any case.
+        // In a box slightly inside, walls in the faces of the outer box always block.
         let gap = ((max - min).min_element() / 4.0).min(1e-3);
         let inner = of_closed(&queries, min + gap, max - gap);
         let closed = of_closed(&queries, min, max);
@@ -124,7 +118,7 @@ fn a_wall_in_a_face_blocks() {
         closed_sum += closed.len();
         inner_sum += inner.len();
     }
-    // What touches a face from the inside is not seen from the box inside.
+    // Triangles that touch a face from the inside are not visible from the inner box.
     assert!(
         open_sum < closed_sum,
         "walls in faces hide something: {open_sum} of {closed_sum}"

@@ -1,11 +1,6 @@
-//! The largest and smallest scenes that every stage accepts, and those beyond them.
+//! Tests of the largest and smallest scenes that every stage accepts, and of scenes beyond these limits.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stderr,
-    reason = "helpers of tests"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod common;
 #[path = "common/cpu.rs"]
@@ -16,23 +11,28 @@ use std::sync::Arc;
 use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, Inputs, PackBytes, run};
+use sightline_bake::{BakeScene, Control, Inputs, PackBytes, SoleMember, run};
 use sightline_model::numbers::Resolution;
 use sightline_model::{
     CellToCell, CubeCells, CubeGrid, CubeParams, Effort, GridCells, JobSpec, KnownCells, Method,
     PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility, codec,
 };
-use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
 use sightline_scene::{MAX_COORDINATE, Object, Scene, Triangle};
-use sightline_trace::{BackendError, CubeSpec, embree::CpuBackend};
+use sightline_trace::cpu::CpuBackend;
+use sightline_trace::embree::EmbreeBackend;
+use sightline_trace::packet::{Halves, LANES, Packet};
+use sightline_trace::sequence::Hashed;
+use sightline_trace::{CubeSpec, LineSet, SKY, Tracer as _, TracerError};
+use sightline_viewcells::TileIndex;
 
-/// Returns rooms whose largest coordinate is below 1, times a power of two.
+/// Returns rooms whose coordinates are below 1, multiplied by a power of two.
 fn scaled(power: i32) -> Arc<Scene> {
-    let params = Params {
+    let params = SceneParams {
         triangles: Some(300),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    let rooms = generate(Kind::Rooms, &params).unwrap();
+    let rooms = generate(SceneKind::Rooms, &params).unwrap();
     let bounds = rooms.bounds();
     let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
     let scale = 2f32.powi(power - largest.log2().ceil() as i32);
@@ -79,7 +79,7 @@ fn cubes(scene: &Scene) -> Method {
 }
 
 /// Returns the sets of all cells.
-fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
+fn sets(scene: &Arc<Scene>, method: Method) -> Vec<Vec<u32>> {
     let task = Visibility {
         pairs: CellToCell::Off,
         ..method.into()
@@ -92,7 +92,7 @@ fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
     let control = Control {
         watcher: &Quiet,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let prepared = BakeScene::new(Arc::clone(scene)).unwrap();
     let mut outputs: Vec<Vec<u8>> = Vec::new();
@@ -101,15 +101,12 @@ fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
         let packs: Vec<PackBytes<'_>> = needed
             .map(|n| PackBytes::Present(&outputs[*n as usize]))
             .collect();
-        let backend = match job.spec().tracer() {
-            Some(_) => Some(cpu(scene, job.spec())?),
-            None => None,
-        };
+        let backend = job.spec().tracer().map(|_| cpu(scene, job.spec()));
         let inputs = Inputs {
             tracer: backend.as_ref().map(|backend| backend as _),
             ..Inputs::new(&prepared).with_packs(&packs)
         };
-        let done = run(&job, number, inputs, control);
+        let done = run(&job, TileIndex(number), inputs, control);
         outputs.push(done.unwrap().bytes);
     }
     let mut all = Vec::new();
@@ -118,25 +115,22 @@ fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
             all.extend(sets.cells.into_iter().map(|cell| cell.visible));
         }
     }
-    Some(all)
+    all
 }
 
 #[test]
-fn scenes_of_all_sizes_have_their_sets() {
+fn scenes_of_all_sizes_have_correct_sets() {
     // Coordinates up to 5.4e8, and a width of 1.9e-9.
     let sets_at = |power, method: fn(&Scene) -> Method| {
         let scene = scaled(power);
         sets(&scene, method(&scene))
     };
-    let Some(decided) = sets_at(0, exact) else {
-        return;
-    };
-    let by_portals = sets_at(0, portals).unwrap();
+    let (decided, by_portals) = (sets_at(0, exact), sets_at(0, portals));
     for power in [0, 29, -28] {
-        assert_eq!(sets_at(power, exact).unwrap(), decided, "2^{power}");
-        assert_eq!(sets_at(power, portals).unwrap(), by_portals, "2^{power}");
-        // Samples are drawn by the digest of the scene, so that each size has others.
-        for (sampled, exact) in sets_at(power, aggressive).unwrap().iter().zip(&decided) {
+        assert_eq!(sets_at(power, exact), decided, "2^{power}");
+        assert_eq!(sets_at(power, portals), by_portals, "2^{power}");
+        // The digest of the scene selects the samples, so each size has other samples.
+        for (sampled, exact) in sets_at(power, aggressive).iter().zip(&decided) {
             let strange: Vec<_> = sampled
                 .iter()
                 .filter(|id| exact.binary_search(id).is_err())
@@ -156,15 +150,13 @@ fn scenes_of_all_sizes_have_their_sets() {
 fn cubes_see_scenes_of_all_sizes() {
     for power in [29, 0, -28] {
         let scene = scaled(power);
-        let Some(sets) = sets(&scene, cubes(&scene)) else {
-            return;
-        };
+        let sets = sets(&scene, cubes(&scene));
         assert!(sets.iter().all(|set| set.len() > 10), "2^{power}: {sets:?}");
     }
 }
 
 #[test]
-fn vertex_beyond_largest_coordinate_is_refused_by_its_triangle() {
+fn error_names_triangle_with_vertex_beyond_largest_coordinate() {
     let objects = || {
         vec![Object {
             name: "all".to_owned(),
@@ -185,7 +177,7 @@ fn vertex_beyond_largest_coordinate_is_refused_by_its_triangle() {
     for far in [1.000_001e9, 1e19, f32::MAX] {
         let text = with(far).unwrap_err().to_string();
         assert!(
-            text.starts_with("stray.obj: triangle 1, vertex 2: its position"),
+            text.starts_with("stray.obj: triangle 1, vertex 2: the position"),
             "{text}"
         );
     }
@@ -193,11 +185,11 @@ fn vertex_beyond_largest_coordinate_is_refused_by_its_triangle() {
 }
 
 #[test]
-fn scene_too_small_for_embree_is_refused_without_crash() {
+fn rejects_scene_too_small_for_embree() {
     for power in [-31, -60, -100] {
         let scene = scaled(power);
-        match CpuBackend::new(Arc::clone(&scene), CubeSpec::new(&CubeParams::default())) {
-            Err(BackendError::Unavailable(why)) if why.contains("Embree") => {
+        match EmbreeBackend::new(scene, CubeSpec::new(&CubeParams::default())) {
+            Err(TracerError::Unavailable(why)) if why.contains("Embree") => {
                 assert!(std::env::var_os("CI").is_none(), "{why}");
                 return;
             }
@@ -207,9 +199,46 @@ fn scene_too_small_for_embree_is_refused_without_crash() {
     }
 }
 
+/// Returns the triangle that each of 512 rays meets in the rooms [`scaled`], and its distance in lengths of
+/// the ray. The rays are multiplied by the same power of two as the rooms.
+fn hits(power: i32) -> Vec<(u32, f32)> {
+    let scene = scaled(power);
+    let bounds = scene.bounds();
+    let (min, size) = (bounds.min, bounds.max - bounds.min);
+    let mut random = Hashed::new(&[8]);
+    let mut packets = vec![Packet::default(); 32];
+    for packet in &mut packets {
+        for _ in 0..LANES {
+            let [from, to] = [0; 2].map(|_| min + size * random.point());
+            packet.push(from.to_array(), (to - from).to_array());
+        }
+    }
+    let ids: Vec<u32> = (0..scene.len()).collect();
+    let backend = CpuBackend::new(scene, CubeSpec::new(&CubeParams::default())).unwrap();
+    let tracer = backend.lines(LineSet::Blocking, &ids).unwrap();
+    tracer.trace(&mut packets, Halves::Rays, false).unwrap();
+    packets
+        .iter()
+        .flat_map(|p| p.triangle.into_iter().zip(p.distance))
+        .collect()
+}
+
+#[test]
+fn cpu_backend_has_same_hits_in_scenes_too_small_for_embree() {
+    let expected = hits(0);
+    let met = expected.iter().filter(|(id, _)| *id != SKY).count();
+    assert!(met * 2 > expected.len(), "{met} of {}", expected.len());
+    for power in [-31, -50] {
+        assert_eq!(hits(power), expected, "2^{power}");
+    }
+    let tiny = CpuBackend::new(scaled(-70), CubeSpec::new(&CubeParams::default()));
+    let reason = tiny.map(|_| ()).unwrap_err().to_string();
+    assert!(reason.contains("wide"), "{reason}");
+}
+
 #[test]
 fn scenes_without_extent_are_baked() {
-    // A point, a line and a plane: view boxes lie around them.
+    // A point, a line and a plane. View boxes enclose them.
     let point = Triangle { v: [Vec3::ONE; 3] };
     let line = Triangle {
         v: [Vec3::ONE, Vec3::ONE * 2.0, Vec3::ONE * 3.0],
@@ -233,9 +262,7 @@ fn scenes_without_extent_are_baked() {
             Method::exact(sampling.clone(), Effort::Full),
         ] {
             let name = method.name();
-            let Some(sets) = sets(&scene, method) else {
-                return;
-            };
+            let sets = sets(&scene, method);
             assert_eq!(sets.len(), 4, "{name}");
         }
     }

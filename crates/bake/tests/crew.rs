@@ -1,34 +1,31 @@
-//! A crew gives the bytes of one member: whoever joins, leaves, lies or dies, and wherever a block is
-//! continued.
+//! Tests that a crew computes the same bytes as one member. Members join, leave, send wrong bytes or stop,
+//! and a block resumes at any phase.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stderr,
-    reason = "helpers of tests"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
-use sightline_bake::{Alone, BakeError, BakeScene, Control, Crew, Inputs, Watcher};
+use sightline_bake::{BakeError, BakeScene, Control, Crew, Inputs, SoleMember, Watcher};
 use sightline_model::numbers::{MaxError, MinShare, RayCount, TargetError, TriangleBudget};
 use sightline_model::{
     Adaptive, CellToCell, Effort, Granularity, GridCells, JobSpec, KnownCells, LineAim, Method,
     PlannedJob, Sampler, Sampling, Stop, Task, Visibility,
 };
+use sightline_sample::PhaseIndex;
 use sightline_sample::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
 use sightline_scene::Scene;
-use sightline_scene::generate::{Kind, Params, generate};
-use sightline_trace::{Backend, BackendError, CubeSpec, embree::CpuBackend};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
+use sightline_trace::{CubeSpec, Tracer, cpu::CpuBackend};
+use sightline_viewcells::TileIndex;
 
-/// A watcher that can be told to stop.
+/// A watcher that a test can cancel.
 #[derive(Default)]
 struct Watch {
     stopped: AtomicBool,
     rays: AtomicU64,
-    /// How often rays or queries were reported.
+    /// The number of reports of rays or queries.
     reports: AtomicU64,
 }
 
@@ -43,24 +40,24 @@ impl Watcher for Watch {
     }
 }
 
-/// A job and all that is needed to run its first tile.
+/// A job with the scene and the tracer for its first tile.
 struct Job {
     planned: PlannedJob,
     scene: BakeScene,
-    backend: Box<dyn Backend>,
+    backend: Box<dyn Tracer>,
 }
 
-/// A town of a few houses with furniture; `None` without Embree. Under `CI` a missing Embree is a failure.
-fn job(make: impl FnOnce(KnownCells) -> Visibility) -> Option<Job> {
-    let params = Params {
+/// Creates a job over a town of a few furnished houses.
+fn job(make: impl FnOnce(KnownCells) -> Visibility) -> Job {
+    let params = SceneParams {
         triangles: Some(20_000),
         seed: 3,
-        ..Params::default()
+        ..SceneParams::default()
     };
-    job_of(Arc::new(generate(Kind::Town, &params).unwrap()), make)
+    job_of(Arc::new(generate(SceneKind::Town, &params).unwrap()), make)
 }
 
-/// Returns the task of lines that aim at this error.
+/// Returns the task of lines with this target error.
 fn lines(cells: KnownCells, error: f64, stop: Stop) -> Visibility {
     let error = TargetError::new(error).unwrap();
     let aim = LineAim::Known { cells, error, stop };
@@ -78,27 +75,20 @@ fn with_pairs(cells: KnownCells) -> Visibility {
     }
 }
 
-fn job_of(scene: Arc<Scene>, make: impl FnOnce(KnownCells) -> Visibility) -> Option<Job> {
+fn job_of(scene: Arc<Scene>, make: impl FnOnce(KnownCells) -> Visibility) -> Job {
     let cells = KnownCells::Grid(GridCells::new(scene.bounds(), [4, 4, 2]).unwrap());
     let task = make(cells);
-    let cubes = CubeSpec::of(&task.sampling().unwrap().sampler);
+    let cubes = CubeSpec::from_sampler(&task.sampling().unwrap().sampler);
     let spec = JobSpec {
         scene: scene.digest().0,
         task: Task::Visibility(task),
     };
-    let backend = match CpuBackend::new(Arc::clone(&scene), cubes) {
-        Ok(backend) => Box::new(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
-            eprintln!("not run: {why}");
-            return None;
-        }
-        Err(e) => panic!("{e}"),
-    };
-    Some(Job {
+    let backend = Box::new(CpuBackend::new(Arc::clone(&scene), cubes).unwrap());
+    Job {
         planned: PlannedJob::new(spec).unwrap(),
         scene: BakeScene::new(scene).unwrap(),
         backend,
-    })
+    }
 }
 
 impl Job {
@@ -109,41 +99,44 @@ impl Job {
             crew,
         };
         let inputs = Inputs::new(&self.scene).with_tracer(&*self.backend);
-        sightline_bake::run(&self.planned, 0, inputs, control).map(|done| done.bytes)
+        sightline_bake::run(&self.planned, TileIndex(0), inputs, control).map(|done| done.bytes)
     }
 
     fn alone(&self) -> (Vec<u8>, u64) {
         let watch = Watch::default();
-        (self.run(&watch, &Alone).unwrap(), watch.rays.load(Relaxed))
+        (
+            self.run(&watch, &SoleMember).unwrap(),
+            watch.rays.load(Relaxed),
+        )
     }
 }
 
-/// What a helper does with its finds.
+/// The behaviour of a helper that has results.
 #[derive(Clone, Copy, PartialEq)]
-enum Helps {
-    /// Sends them.
+enum HelperFault {
+    /// The helper sends its results.
     Well,
-    /// Sends bytes that are none.
+    /// The helper sends bytes that are not results.
     Badly,
-    /// Takes items and never answers.
+    /// The helper requests items and never answers.
     Never,
-    /// Answers once, then is gone.
+    /// The helper answers once, then leaves.
     Once,
 }
 
-/// The place where the messages of a crew go through.
+/// A hub that forwards the messages of a crew.
 #[derive(Default)]
 struct Hub {
     leader: RwLock<Option<Arc<Leader>>>,
     helpers: RwLock<Vec<Arc<Helper>>>,
     outcomes: Mutex<Vec<Vec<u8>>>,
-    /// The phase of each piece that helpers did.
-    finds: Mutex<Vec<u32>>,
+    /// The phase of each result that helpers sent.
+    finds: Mutex<Vec<PhaseIndex>>,
     is_over: AtomicBool,
 }
 
 impl Hub {
-    /// Passes on what the leader says.
+    /// Forwards a message of the leader.
     fn pass_on(&self, message: FromLeader) {
         let helpers = self.helpers.read().unwrap();
         match message {
@@ -156,7 +149,7 @@ impl Hub {
             }
             FromLeader::Outcome { phase, bytes, .. } => {
                 let mut outcomes = self.outcomes.lock().unwrap();
-                assert_eq!(phase as usize, outcomes.len(), "outcomes come in order");
+                assert_eq!(phase.at(), outcomes.len(), "outcomes come in order");
                 outcomes.push(bytes.to_vec());
                 helpers.iter().for_each(|h| {
                     h.hear(ToHelper::Outcome {
@@ -177,8 +170,8 @@ impl Hub {
             .for_each(|leader| leader.hear(message.clone()));
     }
 
-    /// Passes on what helper number `member` says.
-    fn pass_back(&self, member: u64, helps: Helps, message: FromHelper) {
+    /// Forwards a message of helper number `member`.
+    fn pass_back(&self, member: u64, helps: HelperFault, message: FromHelper) {
         match message {
             FromHelper::Ask { phase } => self.to_leader(ToLeader::Ask { member, phase }),
             FromHelper::Found {
@@ -188,13 +181,13 @@ impl Hub {
             } => {
                 self.finds.lock().unwrap().push(phase);
                 match helps {
-                    Helps::Well => self.to_leader(ToLeader::Found {
+                    HelperFault::Well => self.to_leader(ToLeader::Found {
                         member,
                         phase,
                         items,
                         finds,
                     }),
-                    Helps::Badly => {
+                    HelperFault::Badly => {
                         let finds = vec![7; finds.len()];
                         self.to_leader(ToLeader::Found {
                             member,
@@ -203,8 +196,8 @@ impl Hub {
                             finds,
                         });
                     }
-                    Helps::Never => {}
-                    Helps::Once => {
+                    HelperFault::Never => {}
+                    HelperFault::Once => {
                         self.to_leader(ToLeader::Found {
                             member,
                             phase,
@@ -218,12 +211,12 @@ impl Hub {
         }
     }
 
-    /// A helper comes: it is given the outcomes so far, then the leader is told.
+    /// Adds a helper: sends it the outcomes so far, then notifies the leader.
     fn joins(&self, helper: &Arc<Helper>) {
         let member = {
             let mut helpers = self.helpers.write().unwrap();
             let outcomes = self.outcomes.lock().unwrap();
-            for (phase, bytes) in (0..).zip(outcomes.iter()) {
+            for (phase, bytes) in (0..).map(PhaseIndex).zip(outcomes.iter()) {
                 helper.hear(ToHelper::Outcome {
                     phase,
                     bytes: bytes.clone(),
@@ -239,23 +232,23 @@ impl Hub {
     }
 }
 
-/// Runs the tile with helpers that come at once or after some milliseconds, from the outcomes of an earlier
-/// leader. Returns the bytes, all outcomes, and the number of pieces that helpers did.
+/// Runs the tile with helpers that join at once or after some milliseconds, starting from the outcomes of an
+/// earlier leader. Returns the bytes, all outcomes, and the number of results that helpers sent.
 fn crewed(
     job: &Job,
-    helpers: &[(Helps, u64)],
+    helpers: &[(HelperFault, u64)],
     earlier: &[Vec<u8>],
 ) -> (Vec<u8>, Vec<Vec<u8>>, u64) {
     let (bytes, outcomes, phases) = crewed_phases(job, helpers, earlier);
     (bytes, outcomes, phases.len() as u64)
 }
 
-/// As [`crewed`], with the phase of each piece that helpers did.
+/// Runs the tile like [`crewed`], but returns the phase of each result that helpers sent.
 fn crewed_phases(
     job: &Job,
-    helpers: &[(Helps, u64)],
+    helpers: &[(HelperFault, u64)],
     earlier: &[Vec<u8>],
-) -> (Vec<u8>, Vec<Vec<u8>>, Vec<u32>) {
+) -> (Vec<u8>, Vec<Vec<u8>>, Vec<PhaseIndex>) {
     let hub = Arc::new(Hub::default());
     hub.outcomes.lock().unwrap().extend(earlier.iter().cloned());
     let watch = Arc::new(Watch::default());
@@ -295,7 +288,7 @@ fn crewed_phases(
         }
         let bytes = job.run(&*watch, &*leader).unwrap();
         hub.is_over.store(true, Relaxed);
-        // Also those that come when the leader has ended.
+        // Helpers that join after the leader has ended also receive the end.
         hub.helpers
             .read()
             .unwrap()
@@ -310,17 +303,21 @@ fn crewed_phases(
 }
 
 #[test]
-fn helpers_of_all_kinds_change_no_byte() {
-    let Some(job) = job(plain) else { return };
+fn helpers_of_all_kinds_do_not_change_bytes() {
+    let job = job(plain);
     let (expected, _) = job.alone();
     for helpers in [
-        &[(Helps::Well, 0)][..],
-        &[(Helps::Well, 0), (Helps::Well, 0), (Helps::Well, 30)],
+        &[(HelperFault::Well, 0)][..],
         &[
-            (Helps::Badly, 0),
-            (Helps::Never, 0),
-            (Helps::Once, 0),
-            (Helps::Well, 5),
+            (HelperFault::Well, 0),
+            (HelperFault::Well, 0),
+            (HelperFault::Well, 30),
+        ],
+        &[
+            (HelperFault::Badly, 0),
+            (HelperFault::Never, 0),
+            (HelperFault::Once, 0),
+            (HelperFault::Well, 5),
         ],
     ] {
         let (bytes, _, finds) = crewed(&job, helpers, &[]);
@@ -330,7 +327,7 @@ fn helpers_of_all_kinds_change_no_byte() {
 }
 
 #[test]
-fn every_kind_of_lines_can_be_shared() {
+fn crew_can_share_every_kind_of_lines() {
     type Make = fn(KnownCells) -> Visibility;
     let makers: [(&str, Make); 6] = [
         ("bound", |cells| {
@@ -363,19 +360,21 @@ fn every_kind_of_lines_can_be_shared() {
         }),
     ];
     for (name, make) in makers {
-        let Some(job) = job(make) else { return };
-        let (bytes, ..) = crewed(&job, &[(Helps::Well, 0), (Helps::Well, 10)], &[]);
+        let job = job(make);
+        let (bytes, ..) = crewed(
+            &job,
+            &[(HelperFault::Well, 0), (HelperFault::Well, 10)],
+            &[],
+        );
         assert!(bytes == job.alone().0, "{name}");
     }
 }
 
 #[test]
-fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
-    let Some(job) = job(with_pairs) else {
-        return;
-    };
+fn block_resumes_from_any_outcome_without_casting_rays_again() {
+    let job = job(with_pairs);
     let (expected, rays) = job.alone();
-    let (_, outcomes, _) = crewed(&job, &[(Helps::Well, 0)], &[]);
+    let (_, outcomes, _) = crewed(&job, &[(HelperFault::Well, 0)], &[]);
     assert!(outcomes.len() > 6, "{}", outcomes.len());
     for kept in [1, outcomes.len() / 2, outcomes.len() - 1, outcomes.len()] {
         let watch = Arc::new(Watch::default());
@@ -383,10 +382,7 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
         let kept_too = Arc::clone(&later);
         let leader = Leader::new(outcomes[..kept].to_vec(), watch.clone(), move |message| {
             if let FromLeader::Outcome { phase, bytes, .. } = message {
-                kept_too
-                    .lock()
-                    .unwrap()
-                    .push((phase as usize, bytes.to_vec()));
+                kept_too.lock().unwrap().push((phase.at(), bytes.to_vec()));
             }
         });
         assert!(
@@ -403,7 +399,7 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
         }
     }
     let mut damaged = outcomes.clone();
-    // Bytes that still decode are not told from others here: who keeps outcomes keeps their hashes.
+    // The leader accepts damaged outcomes that still decode. The storage of outcomes must check their hashes.
     let half = damaged[2].len() / 2;
     damaged[2].truncate(half);
     damaged[4].clear();
@@ -416,12 +412,12 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
 }
 
 #[test]
-fn exact_cells_are_decided_by_helpers_and_never_again() {
+fn helpers_decide_exact_cells_and_leader_does_not_repeat_them() {
     let scene = generate(
-        Kind::Rooms,
-        &Params {
+        SceneKind::Rooms,
+        &SceneParams {
             triangles: Some(600),
-            ..Params::default()
+            ..SceneParams::default()
         },
     )
     .unwrap();
@@ -434,22 +430,24 @@ fn exact_cells_are_decided_by_helpers_and_never_again() {
             certificates,
         })
     };
-    let Some(job) = job_of(Arc::new(scene), exact) else {
-        return;
-    };
+    let job = job_of(Arc::new(scene), exact);
     let (expected, _) = job.alone();
-    // With a helper every outcome is handed over.
-    let (_, outcomes, _) = crewed_phases(&job, &[(Helps::Never, 0)], &[]);
+    // With a helper, the leader hands over every outcome.
+    let (_, outcomes, _) = crewed_phases(&job, &[(HelperFault::Never, 0)], &[]);
     let last = outcomes.len() as u32 - 1;
-    // The members share the threads of this process, so now and then the leader is done first.
-    let helpers = [(Helps::Badly, 0), (Helps::Well, 0), (Helps::Once, 0)];
+    // The members share the threads of this process, so the leader sometimes ends first.
+    let helpers = [
+        (HelperFault::Badly, 0),
+        (HelperFault::Well, 0),
+        (HelperFault::Once, 0),
+    ];
     let helped = (0..20).any(|_| {
         let (bytes, _, phases) = crewed_phases(&job, &helpers, &outcomes[..last as usize]);
         assert!(bytes == expected);
-        phases.contains(&last)
+        phases.contains(&PhaseIndex(last))
     });
     assert!(helped, "helpers decided no cell in any of 20 runs");
-    // A leader that is given the last outcome, too, asks nothing about cells.
+    // A leader that also has the last outcome makes no queries about cells.
     let reports = |outcomes: &[Vec<u8>]| {
         let watch = Arc::new(Watch::default());
         let leader = Leader::new(outcomes.to_vec(), watch.clone(), |_| {});
@@ -464,18 +462,18 @@ fn exact_cells_are_decided_by_helpers_and_never_again() {
 }
 
 #[test]
-fn a_leader_learns_late_what_an_earlier_one_has_left() {
-    let Some(job) = job(plain) else { return };
+fn leader_accepts_outcomes_of_earlier_leader_late() {
+    let job = job(plain);
     let (expected, rays) = job.alone();
-    let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
+    let (_, outcomes, _) = crewed(&job, &[(HelperFault::Never, 0)], &[]);
     assert!(outcomes.len() > 6, "{}", outcomes.len());
     let (watch, said) = (Arc::new(Watch::default()), Arc::new(Mutex::new(Vec::new())));
     let hears = Arc::clone(&said);
     let leader = Leader::new(Vec::new(), watch.clone(), move |message| {
         hears.lock().unwrap().push(message)
     });
-    assert_eq!(leader.phase(), 0);
-    leader.learn(0, outcomes.clone());
+    assert_eq!(leader.phase(), PhaseIndex(0));
+    leader.learn(PhaseIndex(0), outcomes.clone());
     assert!(leader.reopened(outcomes.len() as u32, || {}));
     assert!(job.run(&*watch, &leader).unwrap() == expected);
     assert_eq!(watch.rays.load(Relaxed), rays);
@@ -489,21 +487,21 @@ fn a_leader_learns_late_what_an_earlier_one_has_left() {
     );
 }
 
-/// Tells its leader of earlier outcomes at the report with a number.
-struct Tells {
+/// A watcher that sends earlier outcomes to its leader at the report with number `at`.
+struct OutcomeReporter {
     leader: Mutex<Option<Arc<Leader>>>,
     outcomes: Vec<Vec<u8>>,
     at: u64,
     reports: AtomicU64,
 }
 
-impl Watcher for Tells {
+impl Watcher for OutcomeReporter {
     fn rendered(&self, _: u64) {
         if self.reports.fetch_add(1, Relaxed) == self.at
             && let Some(leader) = &*self.leader.lock().unwrap()
         {
             let from = leader.phase();
-            leader.learn(from, self.outcomes[from as usize..].to_vec());
+            leader.learn(from, self.outcomes[from.at()..].to_vec());
         }
     }
     fn cell_done(&self) {}
@@ -513,14 +511,14 @@ impl Watcher for Tells {
 }
 
 #[test]
-fn a_leader_may_learn_at_any_time() {
-    let Some(job) = job(plain) else { return };
+fn leader_accepts_outcomes_at_any_time() {
+    let job = job(plain);
     let (expected, _) = job.alone();
-    let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
+    let (_, outcomes, _) = crewed(&job, &[(HelperFault::Never, 0)], &[]);
     let mut learned = 0;
     for at in [0, 1, 3, 6, 10, 15, 25, 40, 60, 100] {
         let (leader, reports) = (Mutex::default(), AtomicU64::new(0));
-        let tells = Arc::new(Tells {
+        let tells = Arc::new(OutcomeReporter {
             leader,
             outcomes: outcomes.clone(),
             at,
@@ -539,7 +537,7 @@ fn a_leader_may_learn_at_any_time() {
 }
 
 #[test]
-fn a_leader_that_goes_without_an_end_sends_its_helpers_away() {
+fn leader_dropped_without_end_dismisses_helpers() {
     let said = Arc::new(Mutex::new(Vec::new()));
     let hears = Arc::clone(&said);
     let watch = Arc::new(Watch::default());
@@ -550,24 +548,27 @@ fn a_leader_that_goes_without_an_end_sends_its_helpers_away() {
 }
 
 #[test]
-fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
-    let Some(job) = job(plain) else { return };
-    let heard: Arc<Mutex<Vec<u32>>> = Arc::default();
+fn reconnected_leader_hands_over_outcomes_that_were_not_stored() {
+    let job = job(plain);
+    let heard: Arc<Mutex<Vec<PhaseIndex>>> = Arc::default();
     let (hears, watch) = (Arc::clone(&heard), Arc::new(Watch::default()));
     let leader = Leader::new(Vec::new(), watch.clone(), move |message| {
         if let FromLeader::Outcome { phase, .. } = message {
             hears.lock().unwrap().push(phase);
         }
     });
-    // With a helper that does nothing, every outcome is handed over at once.
+    // With a helper that sends no results, the leader hands over every outcome at once.
     leader.hear(ToLeader::Joined(0));
     let (expected, _) = job.alone();
     assert!(job.run(&*watch, &leader).unwrap() == expected);
     let all = std::mem::take(&mut *heard.lock().unwrap());
     let last = *all.last().unwrap();
-    assert_eq!(all, (0..=last).collect::<Vec<u32>>());
+    assert_eq!(all, (0..=last.0).map(PhaseIndex).collect::<Vec<_>>());
     leader.hear(ToLeader::Kept(3));
-    assert!(leader.reopened(last, || {}), "only the last one is missing");
+    assert!(
+        leader.reopened(last.0, || {}),
+        "only the last one is missing"
+    );
     assert_eq!(std::mem::take(&mut *heard.lock().unwrap()), [last]);
     assert!(leader.reopened(3, || {}));
     assert_eq!(heard.lock().unwrap()[..], all[3..]);

@@ -1,11 +1,6 @@
-//! The method portals: its sets hold those of exact queries, and the bytes depend on nothing but the scene.
+//! Tests of the method portals: its sets contain the exact sets, and its bytes depend only on the scene.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stderr,
-    reason = "helpers of tests"
-)]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 #[path = "common/cpu.rs"]
@@ -17,26 +12,27 @@ use std::time::{Duration, Instant};
 use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, Inputs, run};
-use sightline_exact::{Cell, ExactScene, ExactViewRegion, Task, decide};
+use sightline_bake::{BakeScene, Control, Inputs, SoleMember, run};
+use sightline_exact::{Cell, CellTask, ExactScene, ExactViewRegion, decide};
 use sightline_model::{
     CellSet, DecisionStats, Effort, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler,
     Sampling, TileOutput, codec,
 };
 use sightline_numbers::Aabb;
 use sightline_portals::{
-    Enclosure, Limits, Partition, Reached, Tree, enclose, reached, region_of, sights,
+    Enclosure, EnclosureLimits, Partition, RegionPlanes, Tree, enclose, reached, region_of, sights,
 };
-use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
 use sightline_scene::{Object, Scene, Triangle};
+use sightline_viewcells::TileIndex;
 
 fn rooms() -> Arc<Scene> {
     Arc::new(
         generate(
-            Kind::Rooms,
-            &Params {
+            SceneKind::Rooms,
+            &SceneParams {
                 triangles: Some(700),
-                ..Params::default()
+                ..SceneParams::default()
             },
         )
         .unwrap(),
@@ -63,30 +59,30 @@ fn by_portals(scene: &Arc<Scene>, deadline: Option<Instant>) -> Vec<u8> {
     let control = Control {
         watcher: &Quiet,
         deadline,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let job = job(scene, Method::portals(grid(scene)));
-    run(&job, 0, Inputs::new(&prepared), control).unwrap().bytes
+    run(&job, TileIndex(0), Inputs::new(&prepared), control)
+        .unwrap()
+        .bytes
 }
 
 #[test]
-fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
+fn sets_contain_exact_sets_and_list_triangles_without_witness() {
     let scene = rooms();
     let found = by_portals(&scene, None);
     assert_eq!(found, by_portals(&scene, None));
     let sampling = Sampling::new(Sampler::lines(grid(&scene)));
     let exact = job(&scene, Method::exact(sampling, Effort::Full));
-    let Some(backend) = cpu(&scene, exact.spec()) else {
-        return;
-    };
+    let backend = cpu(&scene, exact.spec());
     let control = Control {
         watcher: &Quiet,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let prepared = BakeScene::new(Arc::clone(&scene)).unwrap();
     let inputs = Inputs::new(&prepared).with_tracer(&backend);
-    let exact = run(&exact, 0, inputs, control).unwrap();
+    let exact = run(&exact, TileIndex(0), inputs, control).unwrap();
     let exact = cells(&exact.bytes, &scene);
     let is_part = |a: &[u32], b: &[u32]| a.iter().all(|t| b.binary_search(t).is_ok());
     let mut sums = [0; 3];
@@ -117,7 +113,7 @@ fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
 }
 
 #[test]
-fn without_time_everything_may_be_seen() {
+fn all_triangles_may_be_visible_if_time_is_over() {
     let scene = rooms();
     let past = Instant::now().checked_sub(Duration::from_secs(1)).unwrap();
     for cell in cells(&by_portals(&scene, Some(past)), &scene) {
@@ -129,7 +125,7 @@ fn without_time_everything_may_be_seen() {
                 .find(|(name, _)| **name == wanted)
                 .map_or(0, |(_, n)| *n)
         };
-        // Closed surfaces hide without portals.
+        // Closed surfaces hide triangles without portals.
         assert_eq!(count_of("exact_hidden"), count_of("exact_enclosed"));
         assert_eq!(
             cell.visible.len() as u64 + count_of("exact_hidden"),
@@ -139,9 +135,9 @@ fn without_time_everything_may_be_seen() {
     }
 }
 
-/// Rooms in a row whose walls are in the faces of cells: segments that begin on these count.
+/// Rooms in a row whose walls lie in the faces of cells. Segments that begin on these walls count.
 #[test]
-fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
+fn walls_in_cell_faces_hide_same_triangles_with_and_without_portals() {
     let rectangle = |axis: usize, at: f32, [u, v]: [[f32; 2]; 2]| {
         let corner = |s: usize, t: usize| {
             let mut p = Vec3::splat(at);
@@ -182,15 +178,21 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
     let seed = [[0.5, 0.5, 0.5]];
     let mut tree = Tree::new(&scene, &seed);
     assert_eq!(
-        enclose(&mut tree, &seed, Limits::default(), &mut |_| true),
+        enclose(&mut tree, &seed, EnclosureLimits::default(), &mut |_| true),
         Enclosure::Closed
     );
     let region = region_of(&tree, &reached(&tree, &seed)).unwrap();
-    let places = Reached::new(&region, &scene).unwrap();
+    let planes = RegionPlanes::new(&region, &scene).unwrap();
     let prepared = ExactScene::prepare(&scene).unwrap();
     for within in [None, Some(&region)] {
-        let partition =
-            Partition::new(&scene, within, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let partition = Partition::new(
+            &scene,
+            within,
+            scene.bounds(),
+            EnclosureLimits::default(),
+            &|| false,
+        )
+        .unwrap();
         for x in 0..3 {
             let (min, max) = (
                 Vec3::new(x as f32, 0.0, 0.0),
@@ -198,14 +200,14 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
             );
             let listed = sights(&partition, Aabb::new(min, max), false, &|| false).unwrap();
             let decided = |listed: Option<&[u32]>| {
-                decide(&Task {
+                decide(&CellTask {
                     scene: &prepared,
                     cell: Cell::new(min, max).unwrap(),
-                    places: within.map(|_| &places as &dyn ExactViewRegion),
+                    region: within.map(|_| &planes as &dyn ExactViewRegion),
                     seen: &[],
                     above: &[],
                     listed,
-                    limits: sightline_exact::Limits::default(),
+                    limits: sightline_exact::QueryLimits::default(),
                     seed: 3,
                     keep: false,
                     stop: &|| false,
@@ -219,7 +221,7 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
                 "cell {x} sees what is hidden"
             );
             assert_eq!(alone, decided(Some(&listed)));
-            // The room in the middle sees all.
+            // The middle room sees all triangles.
             assert!(
                 x == 1 || listed.len() < scene.len() as usize,
                 "walls hide something from cell {x}"

@@ -3,16 +3,16 @@
 /// A logarithmic axis over whole decades.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
-    /// Powers of ten.
+    /// The lower and the upper end, as exponents of ten.
     least: i32,
     most: i32,
-    /// Where they are drawn.
+    /// The positions of the lower and the upper end in the drawing, in pixels.
     from: f64,
     to: f64,
 }
 
 impl Axis {
-    /// Over what has a logarithm; a decade where that is nothing.
+    /// Creates an axis over the positive finite values. Without such values, the axis covers one decade.
     pub fn over(values: impl Iterator<Item = f64> + Clone, from: f64, to: f64) -> Self {
         let logs = values.filter(|v| *v > 0.0 && v.is_finite()).map(f64::log10);
         let low = logs.clone().fold(f64::INFINITY, f64::min);
@@ -34,7 +34,7 @@ impl Axis {
         }
     }
 
-    /// Where a value is; what has no logarithm is at the lower end.
+    /// Returns the position of a value. Values without a logarithm are at the lower end.
     pub fn at(&self, value: f64) -> f64 {
         let (least, most) = (f64::from(self.least), f64::from(self.most));
         let log = if value > 0.0 {
@@ -45,7 +45,7 @@ impl Axis {
         self.from + (log - least) / (most - least) * (self.to - self.from)
     }
 
-    /// The decades, and what is 2 to 9 times them.
+    /// Returns the decades as powers of ten, and the values that are 2 to 9 times a decade.
     pub fn ticks(&self) -> (Vec<i32>, Vec<f64>) {
         let decades = self.least..self.most;
         let minor = decades.flat_map(|d| (2..10).map(move |k| f64::from(k) * 10f64.powi(d)));
@@ -53,7 +53,7 @@ impl Axis {
     }
 }
 
-/// A power of ten as people write it.
+/// Returns a power of ten as text: as 0.1 or 1000 for exponents from −5 to 5, and as 1e6 otherwise.
 pub fn decade(power: i32) -> String {
     match power {
         -5..=-1 => format!("{:.*}", power.unsigned_abs() as usize, 10f64.powi(power)),

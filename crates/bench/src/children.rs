@@ -1,5 +1,5 @@
-//! Runs this program again as a child: whole commands are what is timed, and a fresh process has a peak
-//! memory of its own.
+//! Runs of this program as a child process. A benchmark times whole commands, and a fresh process has a
+//! separate peak memory.
 
 use std::ffi::OsStr;
 use std::io::Read as _;
@@ -13,17 +13,17 @@ use serde_json::Value;
 use crate::error::BenchError;
 use crate::host::Host;
 use crate::load::Ticks;
-use crate::timing::Took;
+use crate::timing::RunCost;
 
-/// What the waiting thread is woken by.
+/// An event that wakes the waiting thread.
 enum Event {
-    /// The child closed its stdout, after writing this.
+    /// The child closed its stdout, after it wrote these bytes.
     Said(Vec<u8>),
-    /// Ctrl-C or SIGTERM.
+    /// The user stopped the program with Ctrl-C or SIGTERM.
     Stop,
 }
 
-/// Starts children, one at a time.
+/// A runner of child processes, one at a time.
 pub struct Children {
     program: PathBuf,
     events: Receiver<Event>,
@@ -31,13 +31,13 @@ pub struct Children {
 }
 
 impl Children {
-    /// Children of the host's program. A stop of the host ends the running child, and the next `run` reports
-    /// it.
+    /// Creates a runner of the host's program. A stop of the host ends the running child, and the next `run`
+    /// reports the stop.
     pub fn new(host: &Host<'_>) -> Self {
         let (sender, events) = channel();
         let stop = sender.clone();
         (host.on_stop)(Box::new(move || {
-            // Nobody listens when the command is ending anyway.
+            // The send fails only if the command is ending anyway.
             let _ = stop.send(Event::Stop);
         }));
         Self {
@@ -47,11 +47,12 @@ impl Children {
         }
     }
 
-    /// Runs `sightline --json ARGUMENTS…`; what it printed, and what it took from start to exit.
+    /// Runs `sightline --json ARGUMENTS…`. Returns the JSON that the child printed, and the cost of the child
+    /// from start to exit.
     pub fn run<I: IntoIterator<Item: AsRef<OsStr>>>(
         &self,
         arguments: I,
-    ) -> Result<(Value, Took), BenchError> {
+    ) -> Result<(Value, RunCost), BenchError> {
         if self.events.try_recv().is_ok() {
             return Err(interrupted());
         }
@@ -69,7 +70,7 @@ impl Children {
         let complaints = self.listen(&mut child);
         let event = self.events.recv();
         if !matches!(event, Ok(Event::Said(_))) {
-            // It has ended already when it cannot be killed.
+            // The kill fails only if the child has ended already.
             let _ = child.kill();
         }
         let status = child.wait().map_err(BenchError::internal)?;
@@ -92,17 +93,17 @@ impl Children {
             BenchError::Internal(format!("{} printed no JSON: {e}", shown(&command)))
         })?;
         let cpu = value["cpu_seconds"].as_f64();
-        Ok((value, Took { wall, cpu, load }))
+        Ok((value, RunCost { wall, cpu, load }))
     }
 
-    /// Reads what the child says, each stream on a thread: neither pipe may fill up while the other is waited
-    /// for.
+    /// Reads the output of the child, with a thread per stream. Otherwise one pipe could fill up and block
+    /// the child while this process waits for the other pipe. Returns the thread that reads stderr.
     fn listen(&self, child: &mut Child) -> Option<std::thread::JoinHandle<Vec<u8>>> {
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let sender = self.sender.clone();
         std::thread::spawn(move || {
             let mut said = Vec::new();
-            // A pipe that breaks ends what is said; the JSON is then found to be cut short.
+            // A broken pipe ends the output, and the JSON parser then reports that the output is truncated.
             let _ = stdout.map(|mut s| s.read_to_end(&mut said));
             let _ = sender.send(Event::Said(said));
         });
@@ -118,11 +119,14 @@ impl Children {
 
 fn interrupted() -> BenchError {
     BenchError::Interrupted(
-        "interrupted; files hold what was complete by then; --samplers and --points make it shorter".into(),
+        "interrupted; the files contain the completed measurements; use --samplers and --points \
+         for a shorter run"
+            .into(),
     )
 }
 
-/// The child's own words, with the exit code that it chose.
+/// Returns the error of a failed child: the child's message, as the variant that belongs to the child's exit
+/// code.
 fn failure(code: Option<i32>, complaints: &str, command: &Command) -> BenchError {
     let last = complaints
         .lines()
@@ -134,11 +138,11 @@ fn failure(code: Option<i32>, complaints: &str, command: &Command) -> BenchError
         Some(3) => BenchError::Input(why),
         Some(4) => BenchError::Coordinator(why),
         Some(5) => BenchError::Job(why),
-        // At a terminal Ctrl-C reaches the child as well, and it may be first.
+        // At a terminal, Ctrl-C reaches the child as well, and the child may receive it first.
         Some(130) => interrupted(),
         Some(_) => BenchError::Internal(why),
         None => BenchError::Internal(format!(
-            "{} was killed; was there enough memory?",
+            "{} was killed by a signal; check that the machine has enough memory",
             shown(command)
         )),
     }
@@ -152,11 +156,13 @@ fn shown(command: &Command) -> String {
     format!("sightline {}", words.join(" "))
 }
 
-/// A number of a child's JSON.
+/// Returns a number of a child's JSON.
 pub fn number(value: &Value, key: &str) -> Result<f64, BenchError> {
-    value[key]
-        .as_f64()
-        .ok_or_else(|| BenchError::Internal(format!("the output has no number {key}")))
+    value[key].as_f64().ok_or_else(|| {
+        BenchError::Internal(format!(
+            "the JSON output of the bake or measurement has no number {key:?}"
+        ))
+    })
 }
 
 #[cfg(test)]
@@ -164,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_childs_failure_keeps_its_kind_and_its_words() {
+    fn failure_keeps_kind_and_message_of_child() {
         let command = Command::new("sightline");
         let e = failure(Some(3), "noise\nerror: a.glb: not there\n", &command);
         assert!(

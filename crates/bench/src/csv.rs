@@ -1,4 +1,4 @@
-//! The measurements as CSV (RFC 4180 with plain line ends).
+//! The measurements as CSV (RFC 4180, but with line ends of one line feed).
 
 use csv::Writer;
 
@@ -6,7 +6,7 @@ use crate::curves::SceneCurves;
 use crate::error::BenchError;
 use crate::growth::Grown;
 
-/// A file with a header and rows of the same length.
+/// Returns a file with a header and rows of equal length.
 fn file<const N: usize>(
     header: [&str; N],
     rows: impl Iterator<Item = [String; N]>,
@@ -20,13 +20,13 @@ fn file<const N: usize>(
     String::from_utf8(bytes).map_err(BenchError::internal)
 }
 
-/// A number, or nothing where it is unknown.
+/// Returns a number as text, or an empty text if the number is unknown.
 fn optional(n: Option<impl ToString>) -> String {
     n.map_or(String::new(), |n| n.to_string())
 }
 
-/// All points. Errors and shares are fractions, times are in seconds. The first eleven columns were there
-/// before the others and keep their places.
+/// Returns all points as CSV. Errors and shares are fractions, and times are in seconds. The first eleven
+/// columns are older than the other columns and keep their positions.
 pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
     let header = [
         "scene",
@@ -84,7 +84,7 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
     )
 }
 
-/// How time and memory grow.
+/// Returns the growth of time and memory as CSV.
 pub fn growth(rows: &[Grown]) -> Result<String, BenchError> {
     let header = [
         "grows",
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_with_a_comma_is_quoted_and_lines_end_plainly() {
+    fn names_with_commas_are_quoted_and_lines_end_with_lf() {
         let scenes = [crate::curves::tests::example("a,b")];
         let text = curves(&scenes).unwrap();
         assert!(text.starts_with("scene,sampler,parameter,seconds,"));
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn the_old_columns_keep_their_places_and_every_row_has_all() {
+    fn old_columns_keep_places_and_rows_are_complete() {
         let text = curves(&[crate::curves::tests::example("a")]).unwrap();
         let old = "scene,sampler,parameter,seconds,mean_error,p99_error,max_error,peak_mb,bytes_per_cell,\
                    samples,mean_visible,repeats,";

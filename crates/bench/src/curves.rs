@@ -1,4 +1,5 @@
-//! The curves of a scene: bakes it with every sampler from coarse to fine and measures each result.
+//! The curves of a scene. The benchmark bakes the scene with every sampler from coarse to fine, and measures
+//! each result.
 
 use std::ffi::OsString;
 
@@ -16,70 +17,70 @@ use crate::percent::percent;
 use crate::repeats::{self, Runs};
 use crate::timing::{Spread, Times};
 
-/// One bake, or one repeated, and what it came to.
+/// The measurements of one bake, or of its repetitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// How it was sampled.
+    /// The sampler of the bake.
     pub sampler: Sampler,
-    /// With which parameter.
+    /// The parameter of the sampler, as text.
     pub parameter: String,
-    /// What the whole command took, start to exit.
+    /// The times of the whole command, from start to exit.
     #[serde(flatten)]
     pub times: Times,
-    /// Wrong pixels, as fractions.
+    /// The mean error over all frames: the fraction of wrong pixels.
     pub mean_error: f64,
-    /// Of the frame that 99 % of the frames are no worse than.
+    /// The 99th percentile of the errors of the frames.
     pub p99_error: f64,
-    /// Of the worst frame.
+    /// The error of the worst frame.
     pub max_error: f64,
-    /// `None` where the system does not tell.
+    /// The peak memory in megabytes; `None` if the system does not report it.
     pub peak_mb: Option<f64>,
-    /// Of the sets.
+    /// The size of the sets in bytes, per cell.
     pub bytes_per_cell: f64,
-    /// Rays or cubes, whatever the sampler counts.
+    /// The number of rays or cubes, depending on the sampler.
     pub samples: f64,
-    /// Triangles in a cell's set.
+    /// The mean number of triangles in a cell's set.
     pub mean_visible: f64,
-    /// Cells of the result.
+    /// The number of cells of the result.
     pub cells: f64,
-    /// Pairs of a cell and a triangle that are undecided, as a fraction of all pairs; the median run.
+    /// The number of undecided pairs of a cell and a triangle, as a fraction of all pairs, in the median run.
     pub undecided_share: f64,
-    /// The greatest bound of a cell on its missed sight lines; `None` without `--max-error`.
+    /// The largest bound of a cell on its missed sight lines; `None` without `--max-error`.
     pub greatest_bound: Option<f64>,
 }
 
 impl Point {
-    /// Seconds a cell of the whole command, preparation included.
+    /// Returns the seconds of the whole command per cell, including preparation.
     pub fn cell_seconds(&self) -> f64 {
         self.times.seconds / self.cells.max(1.0)
     }
 
-    /// CPU seconds a cell, preparation included.
+    /// Returns the CPU seconds per cell, including preparation.
     pub fn cell_cpu_seconds(&self) -> Option<f64> {
         self.times.cpu_seconds.map(|s| s / self.cells.max(1.0))
     }
 }
 
-/// A scene's points.
+/// The measured points of a scene.
 #[derive(Clone, Debug, Serialize)]
 pub struct SceneCurves {
-    /// As tables and files call it.
+    /// The name of the scene in tables and files.
     pub scene: String,
-    /// How many it has.
+    /// The number of triangles of the scene.
     pub triangles: u32,
-    /// The samplers asked for.
+    /// The samplers that the options select.
     pub samplers: Vec<Sampler>,
-    /// All points, by sampler, coarse to fine.
+    /// All points, by sampler, from coarse to fine.
     pub points: Vec<Point>,
 }
 
 impl SceneCurves {
-    /// A sampler's points.
-    pub fn of(&self, sampler: Sampler) -> impl Iterator<Item = &Point> {
+    /// Returns the points of a sampler.
+    pub fn points_of(&self, sampler: Sampler) -> impl Iterator<Item = &Point> {
         self.points.iter().filter(move |p| p.sampler == sampler)
     }
 
-    /// The samplers whose curves show this, in the order asked for.
+    /// Returns the samplers whose curves show `shows`, in the order of the options.
     pub fn showing(&self, shows: Shows) -> Vec<Sampler> {
         self.samplers
             .iter()
@@ -88,16 +89,16 @@ impl SceneCurves {
             .collect()
     }
 
-    /// Seconds a sampler needs for a mean error.
+    /// Returns the seconds that a sampler needs for a mean error.
     pub fn needed(&self, sampler: Sampler, error: f64) -> Needed {
         let points: Vec<_> = self
-            .of(sampler)
+            .points_of(sampler)
             .map(|p| (p.times.seconds, p.mean_error))
             .collect();
         frontier::needed(&points, error)
     }
 
-    /// How many times longer the baseline takes than lines.
+    /// Returns the time of the baseline as a multiple of the time of the sampler lines, for a mean error.
     pub fn ratio(&self, error: f64) -> Option<Ratio> {
         frontier::ratio(
             self.needed(Sampler::Guided, error),
@@ -129,7 +130,7 @@ pub fn measure(
             if let (Some(why), Some(_)) = (enough, rungs.peek()) {
                 let (scene, sampler) = (&input.name, sampler.name());
                 (host.say)(&format!(
-                    "{scene}, {sampler}: finer points are left out, as this one {why}"
+                    "{scene}, {sampler}: finer points are skipped, because this point {why}"
                 ));
                 break;
             }
@@ -143,7 +144,7 @@ pub fn measure(
     })
 }
 
-/// A point in a line of progress.
+/// Returns the text of a point in a line of progress.
 fn in_words(point: &Point) -> String {
     let seconds = frontier::seconds(point.times.seconds);
     match point.sampler.shows() {
@@ -154,14 +155,14 @@ fn in_words(point: &Point) -> String {
         Shows::Undecided => format!("{seconds} s, {} undecided", percent(point.undecided_share)),
         Shows::CellTime => {
             format!(
-                "{seconds} s, {} s a cell",
+                "{seconds} s, {} s per cell",
                 frontier::seconds(point.cell_seconds())
             )
         }
     }
 }
 
-/// Why the finer points of its sampler are not worth their time.
+/// Returns the reason why the finer points of a sampler are not worth their time, or `None` to continue.
 fn enough(args: &Options, point: &Point) -> Option<String> {
     let shows = point.sampler.shows();
     if point.times.seconds > args.max_seconds {
@@ -171,11 +172,11 @@ fn enough(args: &Options, point: &Point) -> Option<String> {
         ))
     } else if shows == Shows::Error && point.mean_error <= args.least_error {
         Some(format!(
-            "has no more than {} wrong (--least-error)",
+            "has at most {} wrong pixels (--least-error)",
             percent(args.least_error)
         ))
     } else if shows == Shows::Undecided && point.undecided_share <= 0.0 {
-        Some("leaves nothing undecided".to_owned())
+        Some("leaves no triangle undecided".to_owned())
     } else {
         None
     }
@@ -234,7 +235,8 @@ fn point(
     })
 }
 
-/// The median share of undecided pairs: a time budget leaves others undecided every time.
+/// Returns the median share of undecided pairs. With a time budget, each run may leave different pairs
+/// undecided.
 fn undecided(runs: &Runs) -> Result<f64, BenchError> {
     let share = |bake: &Value| {
         let pairs = number(bake, "cells")? * number(bake, "triangles")?;
@@ -245,7 +247,7 @@ fn undecided(runs: &Runs) -> Result<f64, BenchError> {
         .iter()
         .map(share)
         .collect::<Result<Vec<_>, BenchError>>()?;
-    Ok(Spread::of(&shares).map_or(0.0, |s| s.median))
+    Ok(Spread::from_values(&shares).map_or(0.0, |s| s.median))
 }
 
 #[cfg(test)]
@@ -254,9 +256,10 @@ pub mod tests {
 
     use super::*;
     use crate::ladder::Ladder;
-    use crate::timing::Took;
+    use crate::timing::RunCost;
 
-    /// A scene with all samplers; the finest point of each has no error and nothing undecided.
+    /// Returns a scene with all samplers. The finest point of each sampler has no error and no undecided
+    /// pairs.
     pub fn example(name: &str) -> SceneCurves {
         let mut points = Vec::new();
         for &sampler in Sampler::value_variants() {
@@ -271,7 +274,7 @@ pub mod tests {
                 points.push(Point {
                     sampler,
                     parameter: rung.parameter.clone(),
-                    times: Times::of(&[1.0, 1.5, 1.25].map(|k| Took {
+                    times: Times::from_runs(&[1.0, 1.5, 1.25].map(|k| RunCost {
                         wall: k * wall,
                         cpu: Some(2.0 * wall),
                         load: None,
@@ -299,13 +302,13 @@ pub mod tests {
     }
 
     #[test]
-    fn a_sampler_ends_where_finer_points_tell_nothing_more() {
+    fn sampler_ends_when_finer_points_add_no_information() {
         let args = Options {
             max_seconds: 10.0,
             ..Options::default()
         };
         let scene = example("a");
-        let last = |sampler| scene.of(sampler).last().unwrap().clone();
+        let last = |sampler| scene.points_of(sampler).last().unwrap().clone();
         let why = |point: &Point| enough(&args, point).unwrap_or_default();
         let slow = Point {
             times: Times {
@@ -318,7 +321,7 @@ pub mod tests {
         let mut good = last(Sampler::Lines);
         good.times.seconds = 1.0;
         assert!(why(&good).contains("--least-error"));
-        // An exact result has no error, which is no reason to end.
+        // An exact result always has no error, so this is not a reason to end.
         let quick = Point {
             times: good.times.clone(),
             ..last(Sampler::Exact)
@@ -331,13 +334,13 @@ pub mod tests {
         };
         assert_eq!(why(&open), "");
         open.undecided_share = 0.0;
-        assert!(why(&open).contains("nothing undecided"));
+        assert!(why(&open).contains("no triangle undecided"));
     }
 
     #[test]
-    fn a_cell_takes_its_part_of_the_command() {
+    fn cell_time_is_share_of_command() {
         let scene = example("a");
-        let block = scene.of(Sampler::Exact).last().unwrap();
+        let block = scene.points_of(Sampler::Exact).last().unwrap();
         assert_eq!(block.cells, 8.0);
         assert_eq!(block.cell_seconds(), block.times.seconds / 8.0);
     }

@@ -2,22 +2,23 @@
 
 use std::path::Path;
 
-/// Why a benchmark ended early. The variants are the kinds of failure of the child process.
+/// The reason why a benchmark ended early. The variants are the failures that the exit code of a child
+/// process distinguishes.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// The options, or those of a child process, are wrong.
+    /// The options of the benchmark, or of a child process, are wrong.
     #[error("{0}")]
     Usage(String),
-    /// A scene is wrong.
+    /// A scene cannot be read.
     #[error("{0}")]
     Input(String),
-    /// A coordinator cannot be reached, or refused.
+    /// A coordinator cannot be reached, or rejected the call.
     #[error("{0}")]
     Coordinator(String),
     /// A bake failed.
     #[error("{0}")]
     Job(String),
-    /// The user stopped it.
+    /// The user stopped the benchmark.
     #[error("{0}")]
     Interrupted(String),
     /// A fault of the machine or of the program.

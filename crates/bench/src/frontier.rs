@@ -1,27 +1,28 @@
-//! How long a sampler needs for a given error: the lower envelope of its points, interpolated, never
+//! The time that a sampler needs for a given error: the lower envelope of its points, interpolated, and never
 //! extrapolated.
 
 use serde::Serialize;
 
-/// The mean errors that tables answer for.
+/// The mean errors that the tables list.
 pub const ERRORS: [f64; 5] = [0.01, 0.003, 0.001, 0.0003, 0.0001];
 
-/// Seconds needed for an error.
+/// The number of seconds that a sampler needs for an error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Needed {
-    /// Between two measured points.
+    /// An interpolation between two measured points.
     Seconds(f64),
-    /// A measured point is better already, and nothing was measured (or has a logarithm) on the other side.
+    /// The seconds of the fastest point with a lower error. No point with a higher error was measured, or an
+    /// error or time is 0 and has no logarithm.
     AtMost(f64),
-    /// No point is that good, and this was the slowest of those that no faster one is as good as.
+    /// No point reaches the error. The value is the time of the slowest point of the envelope.
     MoreThan(f64),
-    /// Nothing was measured.
+    /// No point was measured.
     Unknown,
 }
 
 impl Needed {
-    /// As tables show it.
+    /// Returns the text for tables.
     pub fn text(self) -> String {
         match self {
             Self::Seconds(s) => seconds(s),
@@ -32,35 +33,35 @@ impl Needed {
     }
 }
 
-/// How many times longer one takes than another.
+/// The quotient of two times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ratio {
     /// Both times are known.
     Is(f64),
-    /// The baseline takes longer than is known, or the other less.
+    /// A lower bound: the baseline needs more time than measured, or the other sampler less.
     AtLeast(f64),
 }
 
 impl Ratio {
-    /// What is known to be exceeded or met.
+    /// Returns the ratio, or its lower bound.
     pub fn least(self) -> f64 {
         match self {
             Self::Is(r) | Self::AtLeast(r) => r,
         }
     }
 
-    /// As tables show it.
+    /// Returns the text for tables.
     pub fn text(self) -> String {
         match self {
             Self::Is(r) => format!("{r:.2}"),
-            // Rounded down, as it is a bound.
+            // Round down, because this is a lower bound.
             Self::AtLeast(r) => format!("≥ {:.2}", (r * 100.0).floor() / 100.0),
         }
     }
 }
 
-/// Three digits, as times are not known better.
+/// Formats seconds with three digits, which is the precision of measured times.
 pub fn seconds(s: f64) -> String {
     match s {
         s if s < 10.0 => format!("{s:.2}"),
@@ -69,8 +70,8 @@ pub fn seconds(s: f64) -> String {
     }
 }
 
-/// The points (seconds, error) that count: one does only if no faster point has at most its error. Fastest
-/// first, so that errors strictly fall.
+/// Returns the lower envelope of the points (seconds, error), fastest first. A point belongs to the envelope
+/// only if no faster point has an equal or lower error, so errors fall strictly.
 pub fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -83,10 +84,10 @@ pub fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     kept
 }
 
-/// Seconds needed for `error` by a sampler with these points, on a straight line between logarithms.
+/// Returns the seconds that a sampler with these points needs for `error`, interpolated between logarithms.
 pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
     let kept = envelope(points);
-    // Errors fall: the first that is good enough has the last that is not before it.
+    // Errors fall, so the first sufficient point directly follows the last insufficient one.
     let Some(i) = kept.iter().position(|p| p.1 <= error) else {
         return kept
             .last()
@@ -97,16 +98,17 @@ pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
         return Needed::Seconds(s);
     }
     match i.checked_sub(1).map(|before| kept[before]) {
-        // No error at all has no logarithm to interpolate to.
-        Some((slower, worse)) if e > 0.0 && slower > 0.0 => {
+        // An error of 0 has no logarithm to interpolate to.
+        Some((faster, worse)) if e > 0.0 && faster > 0.0 => {
             let share = (worse / error).ln() / (worse / e).ln();
-            Needed::Seconds((slower.ln() + share * (s / slower).ln()).exp())
+            Needed::Seconds((faster.ln() + share * (s / faster).ln()).exp())
         }
         _ => Needed::AtMost(s),
     }
 }
 
-/// How many times longer the baseline takes; none where nothing says so much as at least how many.
+/// Returns the time of the baseline as a multiple of the other time, or `None` if not even a lower bound is
+/// known.
 pub fn ratio(baseline: Needed, other: Needed) -> Option<Ratio> {
     match (baseline, other) {
         (Needed::Seconds(b), Needed::Seconds(o)) if o > 0.0 => Some(Ratio::Is(b / o)),
@@ -119,7 +121,8 @@ pub fn ratio(baseline: Needed, other: Needed) -> Option<Ratio> {
     }
 }
 
-/// The geometric mean, a bound where one of them is; none of nothing.
+/// Returns the geometric mean, which is a lower bound if a ratio is a lower bound. Returns `None` without
+/// ratios.
 pub fn geometric_mean(ratios: &[Ratio]) -> Option<Ratio> {
     let sum: f64 = ratios.iter().map(|r| r.least().ln()).sum();
     let mean = (sum / ratios.len() as f64).exp();
@@ -143,8 +146,8 @@ mod tests {
     }
 
     #[test]
-    fn a_power_law_is_met_exactly() {
-        // error = 0.1 / seconds^2
+    fn power_law_is_interpolated_exactly() {
+        // The error is 0.1 / seconds^2.
         let points: Vec<_> = [1.0, 3.0, 10.0, 50.0]
             .iter()
             .map(|&s| (s, 0.1 / (s * s)))
@@ -155,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_extrapolated() {
+    fn needed_does_not_extrapolate() {
         let points = [(1.0, 0.01), (10.0, 0.001)];
         assert_eq!(needed(&points, 0.000_999), Needed::MoreThan(10.0));
         assert_eq!(needed(&points, 0.02), Needed::AtMost(1.0));
@@ -165,7 +168,7 @@ mod tests {
         assert_eq!(needed(&[(2.0, 0.01)], 0.01), Needed::Seconds(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.1), Needed::AtMost(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::MoreThan(2.0));
-        // A slower point that is worse says nothing.
+        // A slower point with a higher error adds no information.
         assert_eq!(
             needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001),
             Needed::MoreThan(1.0)
@@ -173,8 +176,8 @@ mod tests {
     }
 
     #[test]
-    fn a_point_counts_only_if_no_faster_one_is_as_good() {
-        // Slower and worse, slower and equal, as fast and worse; in no order.
+    fn envelope_excludes_points_no_better_than_faster_ones() {
+        // The points are slower and worse, slower and equal, or as fast and worse, in no order.
         let points = [
             (10.0, 0.001),
             (2.0, 0.02),
@@ -188,14 +191,14 @@ mod tests {
     }
 
     #[test]
-    fn no_error_at_all_is_reached_but_not_interpolated_to() {
+    fn zero_error_is_not_interpolated() {
         let points = [(1.0, 0.01), (4.0, 0.0)];
         assert_eq!(needed(&points, 0.001), Needed::AtMost(4.0));
         assert_eq!(needed(&points, 0.01), Needed::Seconds(1.0));
     }
 
     #[test]
-    fn ratios_say_what_is_known_and_means_are_geometric() {
+    fn ratios_keep_bounds_and_means_are_geometric() {
         use Needed::{AtMost, MoreThan, Seconds, Unknown};
         assert_eq!(ratio(Seconds(6.0), Seconds(2.0)), Some(Ratio::Is(3.0)));
         for (baseline, other) in [
@@ -205,7 +208,7 @@ mod tests {
         ] {
             assert_eq!(ratio(baseline, other), Some(Ratio::AtLeast(3.0)));
         }
-        // The baseline may take less, or the other more.
+        // The baseline may need less time, or the other sampler more.
         for (baseline, other) in [
             (AtMost(6.0), Seconds(2.0)),
             (Seconds(6.0), MoreThan(2.0)),

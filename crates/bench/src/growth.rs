@@ -1,4 +1,4 @@
-//! How time and memory grow with triangles, cells and workers, one at a time.
+//! The growth of time and memory with triangles, cells and workers, one at a time.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::options::{Growth, Options};
 use crate::repeats;
 use crate::timing::Times;
 
-/// How every one of these bakes is sampled.
+/// Returns the sampling flags of all bakes of a growth.
 pub fn sampling(args: &Options) -> [String; 4] {
     [
         "--sampler",
@@ -26,30 +26,30 @@ pub fn sampling(args: &Options) -> [String; 4] {
     .map(str::to_owned)
 }
 
-/// One bake.
+/// The measurements of one bake of a growth.
 #[derive(Clone, Debug, Serialize)]
 pub struct Grown {
-    /// What is different from the row before.
+    /// The quantity that grows from row to row.
     pub grows: Growth,
-    /// As tables call it.
+    /// The name of the scene in tables.
     pub scene: String,
-    /// That the scene has.
+    /// The number of triangles of the scene.
     pub triangles: f64,
-    /// Of the result.
+    /// The number of cells of the result.
     pub cells: f64,
-    /// `None`: one a core.
+    /// The number of workers; `None` means one per core.
     pub workers: Option<u32>,
-    /// What the whole command took, start to exit.
+    /// The times of the whole command, from start to exit.
     #[serde(flatten)]
     pub times: Times,
-    /// `None` where the system does not tell.
+    /// The peak memory in megabytes; `None` if the system does not report it.
     pub peak_mb: Option<f64>,
-    /// Of the sets.
+    /// The size of the sets in bytes, per cell.
     pub bytes_per_cell: f64,
 }
 
 impl Growth {
-    /// As the command line names it.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Triangles => "triangles",
@@ -58,7 +58,7 @@ impl Growth {
         }
     }
 
-    /// The values, from small to great.
+    /// Returns the values of the growing quantity, ascending.
     fn values(self, ladder: Ladder) -> &'static [u32] {
         match (self, ladder) {
             (Self::Triangles, Ladder::Quick) => &[10_000, 100_000, 1_000_000],
@@ -70,7 +70,7 @@ impl Growth {
     }
 }
 
-/// Measures one growth, on all scenes that it is for.
+/// Measures one growth, on generated forests for triangles, and on each input scene for cells and workers.
 pub fn measure(
     args: &Options,
     host: &Host<'_>,
@@ -95,11 +95,11 @@ pub fn measure(
             ));
             let over = row.times.seconds > args.max_seconds;
             rows.push(row);
-            // More workers should not take longer.
+            // A bake with more workers should not need more time, so continue.
             if over && grows != Growth::Workers && values.peek().is_some() {
                 (host.say)(&format!(
-                    "growth of {}: greater ones are left out, as this one took more than {} s \
-                        (--max-seconds)",
+                    "growth of {}: larger points are skipped, because this point took more than {} \
+                     s (--max-seconds)",
                     grows.name(),
                     args.max_seconds
                 ));
@@ -131,7 +131,7 @@ fn bake(
     };
     let division = match scene {
         Some(_) => args.division(cells),
-        // The view box is of the given scenes.
+        // The view box option applies to the given scenes, not to the forest.
         None => Options::grid(cells).to_vec(),
     };
     flags.extend(division.into_iter().map(OsString::from));

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-/// What a benchmark needs of the program that runs it.
+/// The parts of the calling program that a benchmark needs.
 pub struct Host<'a> {
-    /// The `sightline` program, which is started for every point.
+    /// The path of the `sightline` program, which the benchmark starts for every point.
     pub program: PathBuf,
-    /// Receives a line of progress.
+    /// A callback that receives a line of progress.
     pub say: &'a dyn Fn(&str),
-    /// Receives a function to be called when the user stops the program (Ctrl-C, SIGTERM).
+    /// A callback that receives a function to call when the user stops the program (Ctrl-C, SIGTERM).
     pub on_stop: &'a dyn Fn(Box<dyn FnOnce() + Send>),
 }

@@ -9,17 +9,18 @@ use crate::error::BenchError;
 
 /// A scene to measure.
 pub struct Input {
-    /// Its file.
+    /// The path of the scene's file.
     pub path: PathBuf,
-    /// As tables and files call it.
+    /// The name of the scene in tables and files.
     pub name: String,
-    /// How many it has.
+    /// The number of triangles of the scene.
     pub triangles: u32,
-    /// Of its triangles.
+    /// The bounding box of the scene's triangles.
     pub bounds: Aabb,
 }
 
-/// Reads every scene once: faults show before the first bake, and no bake waits for the disk.
+/// Reads every scene once. The benchmark then reports faults of files before the first bake, and no bake
+/// waits for the disk.
 pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, BenchError> {
     let stem = |p: &Path| {
         p.file_stem()
@@ -46,7 +47,7 @@ pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, BenchError> {
     Ok(inputs)
 }
 
-/// A bake of `scene` to `folder`/out.pvs from an empty store.
+/// Returns the command line of a bake of `scene` to `folder`/out.pvs, from an empty store.
 pub fn bake_line(scene: &Path, folder: &Path) -> Vec<OsString> {
     vec![
         "bake".into(),

@@ -1,84 +1,89 @@
-//! The points of each curve: the one parameter that trades time for error, for undecided triangles or for
-//! the time of a cell, from coarse to fine.
+//! The points of each curve. Each sampler has one parameter that trades time for error, for undecided
+//! triangles or for the time of a cell. The values are ordered from coarse to fine.
 
 use clap::ValueEnum;
 use serde::Serialize;
 
-/// A way to bake, as `bake` offers it.
+/// A sampler or method of `sightline bake`, with the parameter that the curve varies.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampler {
     /// Sight lines shared by the cells they cross, --target-error 0.1 to 0.00003.
     Lines,
-    /// The baseline: --rays 3000 to 4000000 for each cell.
+    /// The baseline: guided rays, --rays 3000 to 4000000 per cell.
     Guided,
-    /// Visibility cubes, every rectangle split down to --min-distance 2 to 0.25.
+    /// Visibility cubes that split every rectangle, --min-distance 2 to 0.25.
     CubesUniform,
-    /// Visibility cubes, split where the sets of their corners differ (Err), the same distances.
+    /// Visibility cubes that split rectangles whose corners have different sets (Err), --min-distance 2 to
+    /// 0.25.
     #[serde(rename = "cubes-err")]
     CubesErr,
-    /// The same, compared pixel by pixel (Err′).
+    /// Visibility cubes that compare the corners pixel by pixel (Err′), --min-distance 2 to 0.25.
     #[serde(rename = "cubes-err1")]
     CubesErr1,
-    /// The same, compared in 24 directions (Err″).
+    /// Visibility cubes that compare the corners in 24 groups of directions (Err″), --min-distance 2 to 0.25.
     #[serde(rename = "cubes-err2")]
     CubesErr2,
-    /// Sight lines until a bound on each cell's error holds, --max-error 0.03 to 0.0003.
+    /// Sight lines until a bound on the error of each cell holds, --max-error 0.03 to 0.0003.
     MaxError,
-    /// --method verified: the triangles that are undecided after --time-budget 1s to 64s.
+    /// Method verified: the number of undecided triangles after --time-budget 1s to 64s.
     Verified,
-    /// --method exact: the time of a cell, for one, 8 and 64 cells in the middle of the grid.
+    /// Method exact: the time per cell, for 1, 8 and 64 cells in the middle of the grid.
     Exact,
 }
 
-/// What the points of a curve show.
+/// The quantities that a curve shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shows {
-    /// Time against error.
+    /// The curve shows time against error.
     Error,
-    /// Time against the share of undecided triangles.
+    /// The curve shows time against the share of undecided triangles.
     Undecided,
-    /// Cells against the time of each.
+    /// The curve shows the number of cells against the time per cell.
     CellTime,
 }
 
-/// How far the parameters go.
+/// The range of parameters of a sampler.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ladder {
-    /// Without the finest of each sampler, and the two finest of the baseline.
+    /// All parameters except the finest of each sampler and the two finest of the baseline.
     Quick,
-    /// All.
+    /// All parameters.
     Full,
 }
 
-/// Parameters of lines, coarse to fine. Text, so that tables show what was typed.
+/// The target errors of the sampler lines, from coarse to fine. All parameters are text, so that tables show
+/// them as on the command line.
 const TARGET_ERRORS: [&str; 8] = [
     "0.1", "0.03", "0.01", "0.003", "0.001", "0.0003", "0.0001", "0.00003",
 ];
-/// Bounds; each takes many more lines than the error that it bounds.
+/// The bounds of `--max-error`. A bound needs many more lines than an expected error of the same value.
 const MAX_ERRORS: [&str; 5] = ["0.03", "0.01", "0.003", "0.001", "0.0003"];
-/// Rays a cell of guided. The last takes minutes, and is what the least errors of outdoor scenes take.
+/// The rays per cell of the sampler guided. The last value costs minutes, which the lowest errors of outdoor
+/// scenes need.
 const RAYS: [&str; 6] = ["3000", "12500", "50000", "200000", "1000000", "4000000"];
-/// Least distances of cubes, in cell sizes.
+/// The minimum distances of cubes, in cell sizes.
 const DISTANCES: [&str; 4] = ["2", "1", "0.5", "0.25"];
-/// Budgets of the verified method.
+/// The time budgets of the verified method.
 const BUDGETS: [&str; 7] = ["1s", "2s", "4s", "8s", "16s", "32s", "64s"];
-/// Sides, in cells, of the blocks that the exact method decides.
+/// The sides, in cells, of the blocks that the exact method decides.
 const BLOCKS: [(&str, u32); 3] = [("1", 1), ("2", 2), ("4", 4)];
 
-/// One point: what tables call it and what `bake` is given.
+/// One point: its name in tables and its flags for `bake`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rung {
-    /// As tables show it, `--rays 3000`.
+    /// The name in tables, for example `--rays 3000`.
     pub parameter: String,
-    /// All flags that choose the sampler and its parameter.
+    /// All flags that select the sampler and its parameter.
     pub flags: Vec<String>,
-    /// Only a block of at most so many cells on each axis, in the middle of the grid.
+    /// The maximum number of cells per axis of the block in the middle of the grid; `None` for the whole
+    /// grid.
     pub block: Option<u32>,
 }
 
 impl Sampler {
-    /// Those that are measured when none are named. The others take a bound, or minutes a point.
+    /// The samplers that are measured if the options name none. The other samplers compute a bound, or need
+    /// minutes per point.
     pub const DEFAULT: [Self; 6] = [
         Self::Lines,
         Self::Guided,
@@ -88,7 +93,7 @@ impl Sampler {
         Self::CubesErr2,
     ];
 
-    /// As the command line names it.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lines => "lines",
@@ -103,7 +108,7 @@ impl Sampler {
         }
     }
 
-    /// What its curve shows.
+    /// Returns the quantities that the sampler's curve shows.
     pub fn shows(self) -> Shows {
         match self {
             Self::Verified => Shows::Undecided,
@@ -112,7 +117,7 @@ impl Sampler {
         }
     }
 
-    /// Its points, from coarse to fine.
+    /// Returns the points of the sampler, from coarse to fine.
     pub fn rungs(self, ladder: Ladder) -> Vec<Rung> {
         let cubes = ["--sampler", "cubes", "--resolution", "128"];
         let (fixed, more, flag, values): (&[&str], &[&str], &str, &[&str]) = match self {
@@ -167,7 +172,7 @@ impl Sampler {
             .collect()
     }
 
-    /// How many of its points a ladder has.
+    /// Returns the number of a sampler's points that a ladder contains.
     fn taken(self, ladder: Ladder, all: usize) -> usize {
         match ladder {
             Ladder::Quick => all - if self == Self::Guided { 2 } else { 1 },
@@ -176,7 +181,7 @@ impl Sampler {
     }
 }
 
-/// The points of the exact method.
+/// Returns the points of the exact method.
 fn blocks(ladder: Ladder) -> Vec<Rung> {
     let rung = |&(side, cells): &(&str, u32)| Rung {
         parameter: format!("--method exact --cells {side}x{side}x{side}"),
@@ -204,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_those_of_the_command_line_and_of_json() {
+    fn names_match_command_line_and_json() {
         for &sampler in Sampler::value_variants() {
             assert_eq!(
                 sampler.to_possible_value().unwrap().get_name(),
@@ -215,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_is_all_samplers_without_a_bound() {
+    fn default_has_all_samplers_without_bound() {
         let without = Sampler::value_variants().iter().copied();
         let without: Vec<_> = without
             .filter(|s| s.shows() == Shows::Error && *s != Sampler::MaxError)

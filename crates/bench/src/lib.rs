@@ -1,8 +1,25 @@
-//! Time against error: every sampler from coarse to fine, whole command against whole command; undecided
-//! triangles over time; the time of exact cells; and how time and memory grow.
+//! Benchmarks of time against error: every sampler from coarse to fine, whole command against whole command.
 //!
-//! Every point is a bake by a child process. The process that measures only waits, so that it takes no time
-//! from what it measures. Measured times depend on the machine; compare those of one run.
+//! The crate also measures undecided triangles over time, the time of exact cells, and the growth of time and
+//! memory. [`run`] bakes and measures, and returns tables. `docs/measure.md` describes the command.
+//!
+//! # Modules
+//!
+//! - `options`, `ladder`: the [`Options`] of a benchmark, and the parameters of each [`Sampler`].
+//! - `curves`, `repeats`, `children`, `timing`: the points of a scene, each from one or several child
+//!   processes.
+//! - `frontier`: the time for a given error, interpolated between points and never extrapolated.
+//! - `growth`: time and memory by triangles, cells and workers.
+//! - `load`, `machine`: the load by other processes, and the facts about the machine.
+//! - `table`, `points`, `results`, `csv`, `svg`, `panel`, `axis`, `shapes`: tables and curves.
+//!
+//! # Invariants
+//!
+//! - Every point is a bake by a child process. The measuring process only waits, so that it uses no time of
+//!   the measured process.
+//! - Measured times depend on the machine; compare only times of one run.
+//!
+//! # Example
 //!
 //! ```no_run
 //! use sightline_bench::{Host, Options};
@@ -49,23 +66,24 @@ pub use crate::host::Host;
 use crate::ladder::Shows;
 pub use crate::ladder::{Ladder, Rung, Sampler};
 use crate::load::Load;
-use crate::machine::{Machine, command_line};
+use crate::machine::{MachineFacts, command_line};
 pub use crate::options::{Growth, Options};
 use crate::percent::percent;
 
 /// The outcome of a benchmark.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// Everything that was measured.
+    /// All measurements as JSON.
     pub document: Value,
     /// The tables in Markdown.
     pub tables: String,
 }
 
-/// Measures, and writes the files of `args.out` and `args.results`.
+/// Runs a benchmark, and writes the files of `args.out` and `args.results`.
 ///
 /// # Errors
-/// [`BenchError`]: wrong options, a bake that failed, a file that cannot be written, or a stop.
+/// [`BenchError`] if options are wrong, a bake fails, a file cannot be written, or the user stops the
+/// benchmark.
 pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     args.check()?;
     std::fs::create_dir_all(&args.out).map_err(|e| BenchError::writing(&args.out, &e))?;
@@ -77,7 +95,7 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
         writable(page, "--results a file in a folder where you may write")?;
     }
     let inputs = input::inputs(&args.scenes)?;
-    let machine = Machine::here();
+    let machine = MachineFacts::here();
     let children = children::Children::new(host);
     warn_if_busy(host);
 
@@ -85,7 +103,7 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     if !args.samplers().is_empty() {
         for input in &inputs {
             scenes.push(curves::measure(args, host, &children, input)?);
-            // After every scene: what is measured by then survives what happens next.
+            // Write the files after every scene, so that later failures do not lose measurements.
             write(host, &args.out.join("curves.csv"), &csv::curves(&scenes)?)?;
             write(host, &args.out.join("curves.svg"), &svg::draw(&scenes))?;
         }
@@ -132,22 +150,22 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     })
 }
 
-/// How long the machine is watched before the first bake.
+/// The duration of the measurement of the machine's load before the first bake.
 const WATCHED: Duration = Duration::from_millis(500);
 
-/// Says so before bakes are spent on a machine that has other work.
+/// Warns before the first bake if other processes use the machine.
 fn warn_if_busy(host: &Host<'_>) {
     let Some(load) = Load::watch(WATCHED).filter(|load| load.is_busy()) else {
         return;
     };
     (host.say)(&format!(
-        "warning: the machine is busy: other processes take {} of all cores (/proc/stat, half a second), so \
-         times will be too long; stop them, or rely on CPU seconds and --repeat",
+        "warning: the machine is busy: other processes use {} of all cores (/proc/stat, half a \
+         second), so times will be too long; stop these processes, or rely on CPU seconds and --repeat",
         percent(load.share().unwrap_or(0.0))
     ));
 }
 
-/// What others took of the machine during all bakes that were timed.
+/// Sums up the load by other processes during all timed bakes.
 fn load(scenes: &[SceneCurves], grown: &[Grown]) -> Load {
     let mut sum = Load::default();
     let points = scenes.iter().flat_map(|s| &s.points).map(|p| p.times.load);
@@ -157,7 +175,7 @@ fn load(scenes: &[SceneCurves], grown: &[Grown]) -> Load {
     sum
 }
 
-/// Checks that a file can be written, before bakes are spent on it.
+/// Checks, before the first bake, that a file can be written.
 fn writable(path: &Path, remedy: &str) -> Result<(), BenchError> {
     sightline_files::check(path).map_err(|e| {
         BenchError::Usage(format!(
@@ -173,10 +191,10 @@ fn write(host: &Host<'_>, path: &Path, text: &str) -> Result<(), BenchError> {
     Ok(())
 }
 
-/// Everything as one value.
+/// Returns all measurements as one JSON value.
 fn document(
     args: &Options,
-    machine: &Machine,
+    machine: &MachineFacts,
     scenes: &[SceneCurves],
     grown: &[Grown],
 ) -> Result<Value, BenchError> {
@@ -197,7 +215,7 @@ fn document(
         list.push(value);
     }
     let means = table::mean_ratios(scenes).into_iter().map(
-        |(error, mean, of)| json!({"mean_error": error, "guided_over_lines": mean, "scenes": of}),
+        |(error, mean, count)| json!({"mean_error": error, "guided_over_lines": mean, "scenes": count}),
     );
     Ok(json!({
         "machine": machine,

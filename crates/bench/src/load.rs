@@ -1,21 +1,21 @@
-//! How busy other processes keep the machine, from Linux's /proc.
+//! The load by other processes on the machine, from Linux's /proc.
 //!
-//! `/proc/stat` counts the time of all cores in ticks, busy and idle; `/proc/self/stat` counts what this
-//! process and the children that it has waited for took of it. What is busy and not ours is taken by others:
-//! other processes on the machine (outside a container, too), and other virtual machines ("steal"). Both
-//! files count in the same unit, so shares need no length of a tick. Other systems do not tell.
+//! `/proc/stat` counts the time of all cores in ticks, busy and idle. `/proc/self/stat` counts the part of
+//! this process and of the children that it has waited for. The other busy time is due to other processes on
+//! the machine (also outside a container) and to other virtual machines ("steal"). Both files count in the
+//! same unit, so shares do not depend on the length of a tick. Other systems do not report the load.
 
 use std::ops::AddAssign;
 use std::time::Duration;
 
 use serde::Serialize;
 
-/// Others that take more than this share of all cores lengthen what is timed.
+/// The share of all cores above which other processes make timed bakes longer.
 const BUSY: f64 = 0.1;
-/// Fewer ticks than this are noise: both files are rounded to ticks.
+/// The number of ticks below which a count is noise: both files are rounded to ticks.
 const LEAST_TICKS: u64 = 10;
 
-/// Ticks since the machine started.
+/// The number of ticks since the machine started.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ticks {
     all: u64,
@@ -23,17 +23,17 @@ pub struct Ticks {
     own: u64,
 }
 
-/// Ticks between two moments.
+/// The number of ticks between two moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Load {
-    /// Of all cores, busy or idle.
+    /// The ticks of all cores, busy or idle.
     all: u64,
-    /// That others took.
+    /// The ticks that other processes used.
     others: u64,
 }
 
 impl Ticks {
-    /// Until now; `None` where the system does not tell.
+    /// Reads the ticks until now, or returns `None` if the system does not report them.
     pub fn now() -> Option<Self> {
         let machine = std::fs::read_to_string("/proc/stat").ok()?;
         let own = std::fs::read_to_string("/proc/self/stat").ok()?;
@@ -46,13 +46,14 @@ impl Ticks {
             .split_whitespace()
             .map_while(|n| n.parse().ok())
             .collect();
-        // The time of guests, after these, is part of the user's.
+        // The time of guests, which follows, is part of the user's time.
         let [user, nice, system, idle, waiting, interrupts, soft, stolen] = *ticks.first_chunk()?;
         let busy = user + nice + system + interrupts + soft + stolen;
-        // The name of the process stands in parentheses and may contain anything.
+        // The name of the process is in parentheses and may contain any characters.
         let (_, fields) = own.rsplit_once(')')?;
         let fields: Vec<&str> = fields.split_whitespace().collect();
-        // utime, stime, cutime and cstime, fields 14 to 17 of proc(5); the state, field 3, comes first here.
+        // Sum up utime, stime, cutime and cstime, fields 14 to 17 of proc(5). The state, field 3, is the
+        // first field here.
         let own = fields
             .get(11..15)?
             .iter()
@@ -65,7 +66,7 @@ impl Ticks {
         })
     }
 
-    /// From `earlier` until this moment.
+    /// Returns the load from `earlier` until this moment.
     pub fn since(self, earlier: Self) -> Load {
         let busy = self.busy.saturating_sub(earlier.busy);
         let own = self.own.saturating_sub(earlier.own);
@@ -77,19 +78,19 @@ impl Ticks {
 }
 
 impl Load {
-    /// Watches the machine for a time in which this process does nothing.
+    /// Measures the load during a time in which this process sleeps.
     pub fn watch(time: Duration) -> Option<Self> {
         let before = Ticks::now()?;
         std::thread::sleep(time);
         Some(Ticks::now()?.since(before))
     }
 
-    /// The share of the time of all cores that others took; `None` when too little time passed to tell.
+    /// Returns the share of the time of all cores that others used, or `None` if too little time passed.
     pub fn share(self) -> Option<f64> {
         (self.all >= LEAST_TICKS).then(|| self.others as f64 / self.all as f64)
     }
 
-    /// Whether times are not to be trusted.
+    /// Returns true if other processes use so much time that measured times are not reliable.
     pub fn is_busy(self) -> bool {
         self.others >= LEAST_TICKS && self.share().is_some_and(|s| s > BUSY)
     }
@@ -114,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn guests_are_not_counted_twice_and_names_may_have_parentheses() {
+    fn ignores_guests_and_parentheses_in_names() {
         let read = ticks("cpu  1000 10 200 5000 40 3 7 30 500 0\ncpu0 1 1 1 1 1 1 1 1 0 0\n");
         assert_eq!(
             read,
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_busy_and_not_ours_is_taken_by_others() {
+    fn busy_time_of_others_excludes_own_time() {
         let before = Ticks {
             all: 1000,
             busy: 500,
@@ -148,7 +149,7 @@ mod tests {
         );
         assert_eq!(load.share(), Some(0.5));
         assert!(load.is_busy());
-        // Ours alone; rounding may count more of it than of the machine.
+        // All work is of this process. Due to rounding, its ticks may exceed the busy ticks of the machine.
         let load = Ticks {
             all: 1200,
             busy: 648,
@@ -159,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_ticks_are_noise() {
+    fn few_ticks_are_noise() {
         assert!(!Load { all: 20, others: 9 }.is_busy());
         assert_eq!(Load { all: 9, others: 9 }.share(), None);
         let mut sum = Load { all: 20, others: 9 };
@@ -168,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cut_short_tells_nothing() {
+    fn read_rejects_truncated_files() {
         assert_eq!(Ticks::read("cpu  1 2 3\n", OWN), None);
         assert_eq!(Ticks::read("", OWN), None);
         assert_eq!(
@@ -179,10 +180,10 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn this_machine_tells_and_our_own_work_is_not_others() {
+    fn reads_ticks_of_this_machine() {
         let before = Ticks::now().unwrap();
         let start = std::time::Instant::now();
-        // However little of the machine others leave.
+        // Continue until this process has some ticks, even if other processes use most of the machine.
         let mut after = before;
         while after.own <= before.own + 5 && start.elapsed() < Duration::from_secs(60) {
             after = Ticks::now().unwrap();

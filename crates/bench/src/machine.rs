@@ -1,31 +1,31 @@
-//! The machine that times are of.
+//! The facts about the machine that times depend on.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use sightline_trace::embree::CpuBackend;
+use sightline_trace::cpu;
 
-/// What a reader needs to judge the times by.
+/// The facts that a reader needs to judge the times.
 #[derive(Debug, Serialize)]
-pub struct Machine {
-    /// The processor's name.
+pub struct MachineFacts {
+    /// The name of the processor.
     pub cpu: String,
-    /// That this process may use.
+    /// The number of cores that this process may use.
     pub cores: usize,
-    /// All of the machine's, in words.
+    /// The memory of the machine, as text.
     pub memory: String,
-    /// Distribution and kernel.
+    /// The distribution and the kernel.
     pub os: String,
-    /// What decides the last pixels of a result.
+    /// The numerics profile of the cpu backend. Results of different profiles differ in a few pixels.
     pub numerics_profile: String,
-    /// This program's.
+    /// The version of this program.
     pub version: &'static str,
-    /// UTC.
+    /// The date in UTC.
     pub date: String,
 }
 
-impl Machine {
-    /// Asks the system; what it does not tell is said to be unknown.
+impl MachineFacts {
+    /// Reads the facts from the system. A fact that the system does not report is "unknown".
     pub fn here() -> Self {
         let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let unknown = || "unknown".to_owned();
@@ -46,7 +46,7 @@ impl Machine {
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             memory,
             os: os.trim_end_matches([',', ' ']).to_owned(),
-            numerics_profile: CpuBackend::probe().unwrap_or_else(|_| unknown()),
+            numerics_profile: cpu::PROFILE.to_owned(),
             version: env!("CARGO_PKG_VERSION"),
             date: date(
                 SystemTime::now()
@@ -57,7 +57,7 @@ impl Machine {
     }
 }
 
-/// The first `key`'s value in lines of keys and values.
+/// Returns the value of the first line with `key`, in lines of keys and values.
 fn value(text: &str, key: &str, separator: char) -> Option<String> {
     let mut lines = text.lines().filter_map(|l| l.split_once(separator));
     lines
@@ -65,8 +65,8 @@ fn value(text: &str, key: &str, separator: char) -> Option<String> {
         .map(|(_, v)| v.trim().trim_matches('"').to_owned())
 }
 
-/// The day of a Unix time, in UTC; counted from 1 March of the year 0, so that leap days come last in their
-/// year.
+/// Returns the day of a Unix time, in UTC. The computation counts from 1 March of the year 0, so that leap
+/// days are the last days of their years.
 fn date(seconds: u64) -> String {
     let days = seconds / 86_400 + 719_468;
     let era = days / 146_097;
@@ -83,7 +83,7 @@ fn date(seconds: u64) -> String {
     format!("{:04}-{month:02}-{of_month:02}", 400 * era + year + next)
 }
 
-/// The command line as it was typed, quoted where a shell needs it.
+/// Returns the command line as it was typed, quoted for a shell if necessary.
 pub fn command_line() -> String {
     let words = std::env::args_os().map(|a| quoted(&a.to_string_lossy()));
     words.collect::<Vec<_>>().join(" ")
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn days_are_those_of_the_calendar() {
+    fn dates_match_calendar() {
         let day = |n: u64| date(n * 86_400 + 86_399);
         assert_eq!(day(0), "1970-01-01");
         assert_eq!(day(11_016), "2000-02-29");
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn values_and_words() {
+    fn value_finds_key_and_quoted_escapes_words() {
         assert_eq!(
             value("a\t: 1\nb : x y\nb : z\n", "b", ':').as_deref(),
             Some("x y")

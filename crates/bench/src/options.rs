@@ -10,39 +10,43 @@ use crate::error::BenchError;
 use crate::frontier::ERRORS;
 use crate::ladder::{Ladder, Sampler};
 
-/// What is measured, and where it goes.
+/// The measurements of a benchmark, and their output files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// The scenes: .obj, .ply, .gltf or .glb. Only --grow triangles makes its own.
+    /// The scenes: .obj, .ply, .gltf or .glb. Only `--grow triangles` generates its own scenes.
     pub scenes: Vec<PathBuf>,
-    /// A regular grid of view cells.
+    /// The number of view cells of the regular grid along x, y and z. Default: 8 each.
     pub cells: [u32; 3],
-    /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
+    /// The box of the viewpoints: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
     pub view_box: Option<Aabb>,
-    /// Random viewpoints of the error measure, the same for every point. p99 wants at least 100 of them.
+    /// The number of random viewpoints of the error measure, equal for every point. The 99th percentile of
+    /// the errors needs at least 100. Default: 200.
     pub viewpoints: u32,
-    /// Seed of the viewpoints.
+    /// The seed of the viewpoints. Default: 7.
     pub seed: u64,
-    /// Side of one face of the error measure in pixels, 8 to 4096.
+    /// The side of a face of the error measure in pixels, 8 to 4096. Default: 256.
     pub resolution: u32,
-    /// Folder for curves.csv, curves.svg and growth.csv; it is made where it is not there.
+    /// The folder for curves.csv, curves.svg and growth.csv, which is created if it does not exist. Default:
+    /// `bench`.
     pub out: PathBuf,
-    /// Which samplers to measure. Default: [`Sampler::DEFAULT`]; with --grow: none, only the growth.
+    /// The samplers to measure. Default: [`Sampler::DEFAULT`]; with `--grow`: none, only the growth.
     pub samplers: Option<Vec<Sampler>>,
-    /// How far each sampler's parameter goes.
+    /// The range of each sampler's parameter. Default: [`Ladder::Quick`].
     pub points: Ladder,
-    /// How often each point is baked; its time is the median.
+    /// The number of bakes per point. The time of the point is the median. Default: 1.
     pub repeat: u32,
-    /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
+    /// The time limit of a bake in seconds. After a slower bake, the benchmark skips the finer points of its
+    /// sampler, or the larger points of its growth. Default: 60.
     pub max_seconds: f64,
-    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the
-    /// least that the table answers for.
+    /// The error limit: after a bake with at most this mean error, a fraction of the pixels, the benchmark
+    /// skips the finer points of its sampler. Default: the lowest error of the table.
     pub least_error: f64,
-    /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
+    /// The quantities whose effect on time and memory is measured: bakes with `--sampler lines` and
+    /// `--grow-error`.
     pub grow: Vec<Growth>,
-    /// The --target-error of --grow's bakes.
+    /// The `--target-error` of the bakes of `--grow`. Default: 0.001.
     pub grow_error: f64,
-    /// Also write everything as Markdown, with the machine and the command line.
+    /// The path of a Markdown file for all results, with the machine and the command line.
     pub results: Option<PathBuf>,
 }
 
@@ -68,7 +72,7 @@ impl Default for Options {
     }
 }
 
-/// What grows while the rest stays.
+/// The quantity that grows while all others stay constant.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Growth {
@@ -81,7 +85,7 @@ pub enum Growth {
 }
 
 impl Options {
-    /// The samplers to measure, each once.
+    /// Returns the samplers to measure, each once.
     pub fn samplers(&self) -> Vec<Sampler> {
         let asked = match &self.samplers {
             Some(asked) => asked.as_slice(),
@@ -97,10 +101,10 @@ impl Options {
         once
     }
 
-    /// Refuses what would fail only after bakes, or measure nothing.
+    /// Rejects options that would fail only after bakes, or measure nothing.
     ///
     /// # Errors
-    /// [`BenchError::Usage`].
+    /// [`BenchError::Usage`] with the option at fault.
     pub fn check(&self) -> Result<(), BenchError> {
         let refuse = |what: &str| Err(BenchError::Usage(what.to_owned()));
         let needs_scene =
@@ -141,20 +145,20 @@ impl Options {
         Ok(())
     }
 
-    /// A grid, as `bake` takes it.
+    /// Returns a grid as flags of `bake`.
     pub fn grid([x, y, z]: [u32; 3]) -> [String; 2] {
         ["--cells".to_owned(), format!("{x}x{y}x{z}")]
     }
 
-    /// A grid and the view box, as `bake` takes them.
+    /// Returns a grid and the view box as flags of `bake`.
     pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
         let mut flags = Self::grid(cells).to_vec();
         flags.extend(self.view_box.map(view_box));
         flags
     }
 
-    /// At most `most` cells on each axis in the middle of the grid, and the box that they fill, of a scene
-    /// with these bounds; as `bake` takes them.
+    /// Returns a block in the middle of the grid, as flags of `bake`: the grid and the box. The block has at
+    /// most `most` cells per axis. `bounds` are the bounds of the scene.
     pub fn block(&self, most: u32, bounds: Aabb) -> Vec<String> {
         let whole = self.view_box.unwrap_or(bounds);
         let (low, size) = (whole.min.as_dvec3(), (whole.max - whole.min).as_dvec3());
@@ -176,9 +180,9 @@ impl Options {
     }
 }
 
-/// A box as `bake` takes it.
+/// Returns a box as a flag of `bake`.
 fn view_box(Aabb { min, max }: Aabb) -> String {
-    // Rust prints the shortest number that reads as the same one.
+    // Rust prints the shortest number that parses to the same value.
     let numbers = min
         .to_array()
         .into_iter()
@@ -194,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_is_in_the_middle_and_no_larger_than_the_grid() {
+    fn block_is_in_middle_and_not_larger_than_grid() {
         let options = Options {
             cells: [8, 3, 1],
             ..Options::default()
@@ -211,7 +215,7 @@ mod tests {
             options.block(99, bounds),
             ["--cells", "8x3x1", "--view-box=-8,0,1,8,6,2"]
         );
-        // The view box takes the place of the bounds.
+        // The view box replaces the bounds.
         let options = Options {
             view_box: Some(Aabb {
                 min: Vec3::ZERO,
@@ -226,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_repeated_no_times() {
+    fn check_rejects_zero_repeats() {
         let options = Options {
             scenes: vec!["a.glb".into()],
             ..Options::default()

@@ -1,5 +1,5 @@
-//! One panel of the curves: time against error, time against undecided triangles, or cells against the time
-//! of each.
+//! A panel of the curves: time against error, time against undecided triangles, or cells against the time per
+//! cell.
 
 use std::fmt::Write as _;
 
@@ -8,10 +8,10 @@ use crate::curves::{Point, SceneCurves};
 use crate::ladder::{Sampler, Shows};
 use crate::shapes::{escaped, label, mark, polyline};
 
-/// A panel's plot area.
+/// The width and height of a panel's plot area.
 pub const PLOT: [f64; 2] = [400.0, 280.0];
 
-/// The panels of a scene: one for each kind of curve that it has.
+/// Returns the panels of a scene: one per kind of curve of the scene.
 pub fn panels(scene: &SceneCurves) -> Vec<String> {
     let kinds = [Shows::Error, Shows::Undecided, Shows::CellTime].into_iter();
     kinds
@@ -20,7 +20,8 @@ pub fn panels(scene: &SceneCurves) -> Vec<String> {
         .collect()
 }
 
-/// How a kind of curve is drawn: what is along x, what is up y, and the thin curve, if there is one.
+/// The appearance of a kind of curve. It consists of the values along x, the values along y, and the values
+/// of an optional thin curve.
 struct Kind {
     title: String,
     along: &'static str,
@@ -61,7 +62,7 @@ fn kind(scene: &SceneCurves, shows: Shows) -> Kind {
     }
 }
 
-/// A scene's axes and curves of one kind; the origin is the plot's upper left corner.
+/// Returns a scene's axes and curves of one kind. The origin is the plot's upper left corner.
 fn panel(scene: &SceneCurves, shows: Shows) -> String {
     let [width, height] = PLOT;
     let kind = kind(scene, shows);
@@ -90,11 +91,11 @@ fn panel(scene: &SceneCurves, shows: Shows) -> String {
     svg
 }
 
-/// A sampler's points, joined.
+/// Returns the curve through a sampler's points.
 fn curve(scene: &SceneCurves, sampler: Sampler, kind: &Kind, x: &Axis, y: &Axis) -> String {
     let along = |value: fn(&Point) -> f64| -> Vec<_> {
         scene
-            .of(sampler)
+            .points_of(sampler)
             .map(|p| (x.at((kind.x)(p)), y.at(value(p))))
             .collect()
     };
@@ -107,8 +108,8 @@ fn curve(scene: &SceneCurves, sampler: Sampler, kind: &Kind, x: &Axis, y: &Axis)
         sampler.name(),
         polyline(&points, false)
     );
-    for (&(px, py), point) in points.iter().zip(scene.of(sampler)) {
-        // Hollow: nothing wrong at all, or nothing undecided, which has no place on this axis but the edge.
+    for (&(px, py), point) in points.iter().zip(scene.points_of(sampler)) {
+        // A hollow mark means no error or no undecided pairs. Such a value is at the edge of the axis.
         svg += &mark(
             sampler,
             px,

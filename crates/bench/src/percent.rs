@@ -1,6 +1,6 @@
-//! Fractions in percent.
+//! Formatting of fractions in percent.
 
-/// A fraction in percent with three digits that count.
+/// Formats a fraction in percent with three significant digits.
 pub fn percent(fraction: f64) -> String {
     let p = 100.0 * fraction;
     if p <= 0.0 {

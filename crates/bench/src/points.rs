@@ -1,4 +1,4 @@
-//! The tables of one scene: the points that were measured, by what their curves show.
+//! The tables of one scene: the measured points, by the quantities that their curves show.
 
 use crate::curves::{Point, SceneCurves};
 use crate::frontier::seconds;
@@ -6,7 +6,7 @@ use crate::ladder::Shows;
 use crate::percent::percent;
 use crate::table::{Table, cpu, megabytes, spread};
 
-/// The points of a scene whose curves show this.
+/// Returns the points of a scene whose curves show `shows`.
 fn showing(scene: &SceneCurves, shows: Shows) -> impl Iterator<Item = &Point> {
     scene
         .points
@@ -14,7 +14,7 @@ fn showing(scene: &SceneCurves, shows: Shows) -> impl Iterator<Item = &Point> {
         .filter(move |p| p.sampler.shows() == shows)
 }
 
-/// Time against error.
+/// Returns the table of time against error.
 pub fn errors(scene: &SceneCurves) -> Table {
     let bounded = showing(scene, Shows::Error).any(|p| p.greatest_bound.is_some());
     let mut table = Table::new([
@@ -54,7 +54,7 @@ pub fn errors(scene: &SceneCurves) -> Table {
     table
 }
 
-/// Undecided triangles over time.
+/// Returns the table of undecided triangles over time.
 pub fn undecided(scene: &SceneCurves) -> Table {
     let mut table = Table::new([
         "parameter",
@@ -79,7 +79,7 @@ pub fn undecided(scene: &SceneCurves) -> Table {
     table
 }
 
-/// The time of an exact cell.
+/// Returns the table of the time of exact cells.
 pub fn cell_times(scene: &SceneCurves) -> Table {
     let mut table = Table::new([
         "cells",
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_has_a_column_only_where_there_is_one() {
+    fn bound_column_exists_only_for_bounded_points() {
         let mut scene = example("a");
         assert!(errors(&scene).header.contains(&"bound".to_owned()));
         scene.points.retain(|p| p.sampler != Sampler::MaxError);
@@ -136,9 +136,9 @@ mod tests {
     }
 
     #[test]
-    fn the_spread_is_of_the_runs_and_the_time_of_a_cell_its_part() {
+    fn tables_show_spread_of_runs_and_time_per_cell() {
         let scene = example("a");
-        // Runs of 1, 1.25 and 1.5 times 0.4 s, for one cell and, three times as long, for eight.
+        // The runs last 1, 1.25 and 1.5 times 0.4 s for one cell, and three times as long for eight cells.
         let rows = cell_times(&scene).rows;
         assert_eq!(
             rows[0][..6],

@@ -6,26 +6,26 @@ use crate::curves::SceneCurves;
 use crate::growth::{self, Grown};
 use crate::ladder::Shows;
 use crate::load::Load;
-use crate::machine::{Machine, command_line};
+use crate::machine::{MachineFacts, command_line};
 use crate::options::Options;
 use crate::percent::percent;
 use crate::points;
 use crate::table;
 
-/// How times are measured, for whoever reads a table.
-const TIMES: &str = "Every time is that of a whole command, from start to exit. CPU seconds are those of all \
-    its threads, user and system, until it reports. ";
+/// The explanation of the measured times, for readers of a table.
+const TIMES: &str = "Every time is the time of a whole command, from start to exit. CPU seconds are the \
+    user and system time of all threads of the command, until the command prints its report. ";
 
-/// The page as Markdown, to be put at `page`.
+/// Returns the page as Markdown, to be written to `page`.
 pub fn markdown(
     args: &Options,
-    machine: &Machine,
+    machine: &MachineFacts,
     load: Load,
     scenes: &[SceneCurves],
     growth: &[Grown],
     page: &Path,
 ) -> String {
-    let Machine {
+    let MachineFacts {
         cpu,
         cores,
         memory,
@@ -42,10 +42,10 @@ pub fn markdown(
         others(load),
         command_line(),
         match args.repeat {
-            1 => "Each point was run once, so nothing is known of its spread.".to_owned(),
+            1 => "Each point was run once, so the spread is unknown.".to_owned(),
             n => format!(
-                "Each point was run {n} times in a row: times are medians, and the spread is how far the \
-                 slowest run is from the fastest, as a part of the median."
+                "Each point was run {n} times in a row: times are medians. The spread is the \
+                 difference of the slowest and the fastest run, as a fraction of the median."
             ),
         }
     );
@@ -61,19 +61,19 @@ pub fn markdown(
         }
         if !scene.showing(Shows::Undecided).is_empty() {
             text += &format!(
-                "\n`--method verified`, {} cells, stopped by a time budget. The command may end sooner, or \
-                 later by what reading the scene and writing the result take. Undecided is the share of all \
-                 pairs of a cell and a triangle that were neither seen nor proved hidden; these triangles \
-                 are drawn.\n\n{}",
+                "\n`--method verified`, {} cells, stopped by a time budget. The command may end \
+                 earlier, or later by the time for reading the scene and writing the result. Undecided is \
+                 the share of all pairs of a cell and a triangle that were neither seen nor proved hidden; \
+                 these triangles are drawn.\n\n{}",
                 grid(args),
                 points::undecided(scene).markdown()
             );
         }
         if !scene.showing(Shows::CellTime).is_empty() {
             text += &format!(
-                "\n`--method exact`, blocks of cells in the middle of a grid of {}. The time of a cell is \
-                 its part of the whole command, preparing the scene included; cells of a block share \
-                 work.\n\n{}",
+                "\n`--method exact`, blocks of cells in the middle of a grid of {}. The time per \
+                 cell is the time of the whole command, including the preparation of the scene, divided by \
+                 the number of cells. The cells of a block share work.\n\n{}",
                 grid(args),
                 points::cell_times(scene).markdown()
             );
@@ -81,7 +81,7 @@ pub fn markdown(
     }
     if !growth.is_empty() {
         text += &format!(
-            "\n## Growth\n\nBakes with `{}`; one thing grows, the rest stays.\n\n",
+            "\n## Growth\n\nBakes with `{}`; one quantity grows, and the others are constant.\n\n",
             growth::sampling(args).join(" ")
         );
         text += &table::growth(growth).markdown();
@@ -89,26 +89,28 @@ pub fn markdown(
     text
 }
 
-/// What others took of the machine while bakes were timed.
+/// Returns a text about the load by other processes during timed bakes.
 fn others(load: Load) -> String {
     let warning = if load.is_busy() {
         "; **the machine was busy**, so times are too long"
     } else {
         ""
     };
-    load.share().map_or("not known here".to_owned(), |share| {
-        format!(
-            "other processes took {} of the time of all cores (`/proc/stat`){warning}",
-            percent(share)
-        )
-    })
+    load.share()
+        .map_or("unknown on this system".to_owned(), |share| {
+            format!(
+                "other processes used {} of the time of all cores (`/proc/stat`){warning}",
+                percent(share)
+            )
+        })
 }
 
 fn grid(args: &Options) -> String {
     args.cells.map(|n| n.to_string()).join("×")
 }
 
-/// The picture, where a link stays right when page and picture are moved together.
+/// Returns a link to the picture of the curves. Returns an empty text if the link would break when a user
+/// moves page and picture together.
 fn picture(args: &Options, page: &Path) -> String {
     let folder = page.parent().unwrap_or(Path::new(""));
     args.out.strip_prefix(folder).map_or(String::new(), |out| {
@@ -117,16 +119,17 @@ fn picture(args: &Options, page: &Path) -> String {
     })
 }
 
-/// Time against error, all scenes.
+/// Returns the section on time against error, for all scenes.
 fn errors(args: &Options, scenes: &[SceneCurves], page: &Path) -> String {
     format!(
         "\n## Time against error\n\nSeconds of the whole command `sightline bake --backend cpu`, from an \
-         empty store, until the mean error is that of the row: interpolated on logarithmic axes between \
-         measured points, never beyond them. `≤` stands before the time of a sampler's fastest point where \
-         that is better already (or of a point without any error), `>` before that of its slowest where no \
-         point is that good; a ratio of such times is a bound, and so is a mean with it (`≥`), or `-` where \
-         they bound nothing. The error is the mean share of wrong pixels over {} random viewpoints (seed \
-         {}), each a cube of {} pixels a side; {} cells.\n\n{}{}",
+         empty store, until the mean error of the row is reached. Times are interpolated on logarithmic \
+         axes between measured points, and never extrapolated. `≤` marks the time of a point with a lower \
+         error, if no point with a higher error was measured or the error is 0. `>` marks the time of the \
+         sampler's slowest point, if no point reaches the error. A ratio of such times is a lower bound \
+         (`≥`), or `-` if no bound is known; a mean of ratios likewise. The error is the mean fraction of \
+         wrong pixels over {} random viewpoints (seed {}), each a cube with faces of {} pixels per side; \
+         {} cells.\n\n{}{}",
         args.viewpoints,
         args.seed,
         args.resolution,
@@ -150,7 +153,7 @@ mod tests {
         };
         markdown(
             &args,
-            &Machine::here(),
+            &MachineFacts::here(),
             load,
             scenes,
             &[],
@@ -159,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_has_a_table_for_each_kind_of_curve_and_says_how_often_it_was_run() {
+    fn page_has_table_per_kind_of_curve_and_number_of_runs() {
         let text = page(3, Load::default(), &[example("level")]);
         for part in [
             "## Time against error",
@@ -170,7 +173,7 @@ mod tests {
             assert!(text.contains(part), "{part} is not in {text}");
         }
         assert!(
-            text.contains("(b/curves.svg)") && text.contains("other work: not known here"),
+            text.contains("(b/curves.svg)") && text.contains("other work: unknown on this system"),
             "{text}"
         );
         let mut scene = example("level");

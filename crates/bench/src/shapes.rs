@@ -1,8 +1,8 @@
-//! What the curves are drawn with: text, lines and the marks of the samplers, as SVG.
+//! The elements of the curves as SVG: text, lines and the marks of the samplers.
 
 use crate::ladder::Sampler;
 
-/// A line of text.
+/// Returns a line of text.
 pub fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
     format!(
         "<text class=\"ink\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" \
@@ -11,7 +11,7 @@ pub fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
     )
 }
 
-/// A curve, thin and dashed or not.
+/// Returns a curve, which is thin and dashed if `thin` is true.
 pub fn polyline(points: &[(f64, f64)], thin: bool) -> String {
     let points: Vec<_> = points
         .iter()
@@ -28,8 +28,8 @@ pub fn polyline(points: &[(f64, f64)], thin: bool) -> String {
     )
 }
 
-/// A sampler's mark: its shape tells what its colour does, to those who see no colours. `filled` is its
-/// opacity.
+/// Returns the mark of a sampler. Its shape identifies the sampler without its colour. `filled` is the
+/// opacity of the mark.
 pub fn mark(sampler: Sampler, x: f64, y: f64, filled: f64) -> String {
     let shape = match sampler {
         Sampler::Lines => {
@@ -57,7 +57,7 @@ fn looks(filled: f64) -> String {
     format!("fill=\"currentColor\" fill-opacity=\"{filled}\" stroke=\"currentColor\"")
 }
 
-/// Text as XML takes it: no markup, and no control characters, which it cannot say at all.
+/// Escapes text for XML. Replaces control characters, which XML cannot represent, by U+FFFD.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

@@ -1,21 +1,21 @@
-//! The curves as SVG: panels for each scene, logarithmic axes, one colour and mark for each sampler.
+//! The curves as SVG: panels for each scene, logarithmic axes, and one colour and mark per sampler.
 //!
 //! The file has a style sheet with colours for light and dark pages. The crate plotters writes a fixed colour
-//! into every element and has no style sheets, so this module writes the SVG itself.
+//! into every element and does not support style sheets, so this module writes the SVG itself.
 
 use crate::curves::SceneCurves;
 use crate::ladder::Shows;
 use crate::panel::{PLOT, panels};
 use crate::shapes::{label, mark, polyline};
 
-/// What is around a panel's plot area for labels.
+/// The margins of a panel's plot area, for labels.
 const LEFT: f64 = 72.0;
 const ABOVE: f64 = 34.0;
 const PANEL: [f64; 2] = [LEFT + PLOT[0] + 20.0, ABOVE + PLOT[1] + 54.0];
-/// A legend entry.
+/// The width and height of a legend entry.
 const ENTRY: [f64; 2] = [118.0, 20.0];
 
-/// Background, text and lines, then the samplers; first on light pages, then on dark ones.
+/// The colours of background, text and lines, then of the samplers: first on light pages, then on dark ones.
 const COLOURS: [(&str, &str, &str); 12] = [
     ("paper", "#ffffff", "#15171c"),
     ("ink", "#24272e", "#d9dce3"),
@@ -31,7 +31,7 @@ const COLOURS: [(&str, &str, &str); 12] = [
     ("exact", "#a02020", "#ff8f8f"),
 ];
 
-/// All scenes in one picture.
+/// Draws all scenes in one picture.
 pub fn draw(scenes: &[SceneCurves]) -> String {
     let panels: Vec<String> = scenes.iter().flat_map(panels).collect();
     let columns = panels.len().clamp(1, 2);
@@ -69,7 +69,8 @@ fn style() -> String {
     )
 }
 
-/// The samplers' marks and names, then what the two kinds of lines are; and how high that is.
+/// Returns the legend and its height. The legend shows the marks and names of the samplers, then the meaning
+/// of the two kinds of lines.
 fn legend(scenes: &[SceneCurves], width: f64) -> (String, f64) {
     let samplers = scenes.first().map_or(&[][..], |s| &s.samplers);
     let mut entries: Vec<_> = samplers
@@ -105,8 +106,8 @@ mod tests {
     use crate::curves::tests::example;
     use crate::ladder::Sampler;
 
-    /// Reads tags and attributes as strictly as XML does, as far as this file uses it; the text between tags
-    /// comes back.
+    /// Parses the tags and attributes that this file uses as strictly as XML requires. Returns the text
+    /// between tags.
     fn read(xml: &str) -> String {
         let (mut open, mut text, mut rest) = (Vec::new(), String::new(), xml);
         let mut roots = 0;
@@ -160,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_is_well_formed() {
+    fn picture_is_well_formed() {
         let mut nothing = example("nothing");
         nothing.points.clear();
         for scenes in [

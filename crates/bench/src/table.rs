@@ -1,4 +1,4 @@
-//! The tables, as Markdown that also reads well in a terminal.
+//! The tables, as Markdown that is also readable in a terminal.
 
 use crate::curves::SceneCurves;
 use crate::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
@@ -7,7 +7,7 @@ use crate::ladder::{Sampler, Shows};
 use crate::percent::percent;
 use crate::timing::Times;
 
-/// A header and rows of as many cells.
+/// A header and rows of equal length.
 #[derive(Debug)]
 pub struct Table {
     pub header: Vec<String>,
@@ -22,7 +22,8 @@ impl Table {
         }
     }
 
-    /// Markdown with columns of even width: the first to the left, the others, numbers mostly, to the right.
+    /// Returns Markdown with columns of even width. The first column is left-aligned, and the others, mostly
+    /// numbers, are right-aligned.
     pub fn markdown(&self) -> String {
         let all = || std::iter::once(&self.header).chain(&self.rows);
         let escaped = |text: &str| text.replace('|', "\\|");
@@ -64,9 +65,9 @@ fn times(ratio: Option<Ratio>) -> String {
     ratio.map_or("-".to_owned(), Ratio::text)
 }
 
-/// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of
-/// [`ERRORS`], with the number of scenes that it is known for. None where a scene had to be left out that the
-/// baseline gets as far in as that, and lines do not.
+/// Returns, for each of [`ERRORS`], the mean ratio of the baseline's time to the time of lines. The mean is
+/// geometric, over the scenes with a known ratio. The third value is the number of these scenes. The mean is
+/// `None` if the baseline reaches the error on some scene and lines do not.
 pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     let lost = |s: &SceneCurves, error| {
         matches!(
@@ -86,12 +87,12 @@ pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     ERRORS.map(mean).to_vec()
 }
 
-/// Whether there is a curve of time against error.
+/// Returns true if a scene has a curve of time against error.
 pub fn has_errors(scenes: &[SceneCurves]) -> bool {
     scenes.iter().any(|s| !s.showing(Shows::Error).is_empty())
 }
 
-/// Seconds each sampler needs for an error.
+/// Returns the table of the seconds that each sampler needs for an error.
 pub fn needed(scenes: &[SceneCurves]) -> Table {
     let samplers = scenes
         .first()
@@ -117,8 +118,8 @@ pub fn needed(scenes: &[SceneCurves]) -> Table {
         }
     }
     if compares && scenes.len() > 1 {
-        for (error, mean, of) in mean_ratios(scenes) {
-            let mut row = vec![format!("geometric mean of {of} scenes"), target(error)];
+        for (error, mean, count) in mean_ratios(scenes) {
+            let mut row = vec![format!("geometric mean of {count} scenes"), target(error)];
             row.extend(samplers.iter().map(|_| String::new()));
             row.push(times(mean));
             table.rows.push(row);
@@ -127,12 +128,12 @@ pub fn needed(scenes: &[SceneCurves]) -> Table {
     table
 }
 
-/// One of [`ERRORS`], as short as it is.
+/// Formats one of [`ERRORS`] without trailing zeros.
 fn target(error: f64) -> String {
     format!("{} %", (error * 1e6).round() / 1e4)
 }
 
-/// How time and memory grow.
+/// Returns the table of the growth of time and memory.
 pub fn growth(rows: &[Grown]) -> Table {
     let mut table = Table::new([
         "grows",
@@ -152,7 +153,8 @@ pub fn growth(rows: &[Grown]) -> Table {
             g.scene.clone(),
             g.triangles.to_string(),
             g.cells.to_string(),
-            g.workers.map_or("one a core".to_owned(), |w| w.to_string()),
+            g.workers
+                .map_or("one per core".to_owned(), |w| w.to_string()),
             seconds(g.times.seconds),
             spread(&g.times),
             cpu(g.times.cpu_seconds),
@@ -163,12 +165,12 @@ pub fn growth(rows: &[Grown]) -> Table {
     table
 }
 
-/// How far apart the runs of a point are; nothing where it was run once.
+/// Returns the spread of the runs of a point, or `-` for one run.
 pub fn spread(times: &Times) -> String {
     times.spread().map_or("-".to_owned(), percent)
 }
 
-/// CPU seconds, where they are known.
+/// Returns CPU seconds, or `?` if they are unknown.
 pub fn cpu(seconds_known: Option<f64>) -> String {
     seconds_known.map_or("?".to_owned(), seconds)
 }

@@ -1,35 +1,35 @@
-//! The times of one point that was run several times: medians, how far they spread, and what others took of
-//! the machine meanwhile.
+//! The times of a point with several runs: medians, their spread, and the load by other processes during the
+//! runs.
 
 use serde::Serialize;
 
 use crate::load::Load;
 
-/// What one run took.
+/// The cost of one run.
 #[derive(Clone, Copy, Debug)]
-pub struct Took {
-    /// Seconds from start to exit.
+pub struct RunCost {
+    /// The number of seconds from start to exit.
     pub wall: f64,
-    /// CPU seconds of all its threads, user and system; `None` where the system does not tell.
+    /// The CPU seconds of all threads, user and system; `None` if the system does not report them.
     pub cpu: Option<f64>,
-    /// The machine meanwhile.
+    /// The load of the machine during the run; `None` if the system does not report it.
     pub load: Option<Load>,
 }
 
-/// The middle of some numbers and their ends.
+/// The median, minimum and maximum of some numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// The middle one; the mean of the two in the middle of an even number.
+    /// The median; the mean of the two middle values for an even count.
     pub median: f64,
-    /// The least.
+    /// The minimum.
     pub min: f64,
-    /// The greatest.
+    /// The maximum.
     pub max: f64,
 }
 
 impl Spread {
-    /// Of any numbers but none.
-    pub fn of(values: &[f64]) -> Option<Self> {
+    /// Computes the spread of `values`, or returns `None` if `values` is empty.
+    pub fn from_values(values: &[f64]) -> Option<Self> {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
         let (min, max) = (*sorted.first()?, *sorted.last()?);
@@ -42,37 +42,39 @@ impl Spread {
     }
 }
 
-/// The times of a point. The medians of wall and CPU time may be those of different runs.
+/// The times of a point. The medians of wall time and CPU time may belong to different runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Times {
-    /// Runs.
+    /// The number of runs.
     pub repeats: usize,
-    /// Seconds from start to exit: the median run.
+    /// The seconds from start to exit of the median run.
     pub seconds: f64,
-    /// The fastest run.
+    /// The seconds of the fastest run.
     pub seconds_min: f64,
-    /// The slowest run.
+    /// The seconds of the slowest run.
     pub seconds_max: f64,
-    /// CPU seconds of all threads, user and system: the median run. `None` where the system does not tell.
+    /// The CPU seconds of all threads, user and system, of the median run; `None` if the system does not
+    /// report them.
     pub cpu_seconds: Option<f64>,
-    /// The run with the fewest.
+    /// The CPU seconds of the run with the fewest.
     pub cpu_seconds_min: Option<f64>,
-    /// The run with the most.
+    /// The CPU seconds of the run with the most.
     pub cpu_seconds_max: Option<f64>,
-    /// The share of all cores' time that others took, over all runs.
+    /// The share of all cores' time that other processes used, over all runs.
     pub others_share: Option<f64>,
-    /// That share in ticks, to be added up.
+    /// The ticks from which `others_share` is computed, for sums over points.
     #[serde(skip)]
     pub load: Load,
 }
 
 impl Times {
-    /// Of the runs of one point.
-    pub fn of(runs: &[Took]) -> Self {
-        let wall = Spread::of(&runs.iter().map(|r| r.wall).collect::<Vec<_>>());
-        // All of them, or none: a median of some would be of other runs than the wall time.
+    /// Computes the times of one point from its runs.
+    pub fn from_runs(runs: &[RunCost]) -> Self {
+        let wall = Spread::from_values(&runs.iter().map(|r| r.wall).collect::<Vec<_>>());
+        // Use the CPU times of all runs or of none: a median of some would belong to other runs than the wall
+        // time.
         let cpu = runs.iter().map(|r| r.cpu).collect::<Option<Vec<_>>>();
-        let cpu = cpu.and_then(|all| Spread::of(&all));
+        let cpu = cpu.and_then(|all| Spread::from_values(&all));
         let mut load = Load::default();
         for part in runs.iter().filter_map(|r| r.load) {
             load += part;
@@ -95,7 +97,8 @@ impl Times {
         }
     }
 
-    /// How far apart the slowest and the fastest run are, as a fraction of the median; `None` of one run.
+    /// Returns the difference of the slowest and the fastest run as a fraction of the median, or `None` for
+    /// one run.
     pub fn spread(&self) -> Option<f64> {
         let known = self.repeats > 1 && self.seconds > 0.0;
         known.then(|| (self.seconds_max - self.seconds_min) / self.seconds)
@@ -107,10 +110,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_median_is_in_the_middle() {
-        assert_eq!(Spread::of(&[]), None);
+    fn median_is_middle_value() {
+        assert_eq!(Spread::from_values(&[]), None);
         assert_eq!(
-            Spread::of(&[4.0]),
+            Spread::from_values(&[4.0]),
             Some(Spread {
                 median: 4.0,
                 min: 4.0,
@@ -118,7 +121,7 @@ mod tests {
             })
         );
         assert_eq!(
-            Spread::of(&[9.0, 1.0, 2.0]),
+            Spread::from_values(&[9.0, 1.0, 2.0]),
             Some(Spread {
                 median: 2.0,
                 min: 1.0,
@@ -126,7 +129,7 @@ mod tests {
             })
         );
         assert_eq!(
-            Spread::of(&[9.0, 1.0, 2.0, 4.0]),
+            Spread::from_values(&[9.0, 1.0, 2.0, 4.0]),
             Some(Spread {
                 median: 3.0,
                 min: 1.0,
@@ -137,12 +140,12 @@ mod tests {
 
     #[test]
     fn one_slow_run_does_not_move_the_times() {
-        let run = |wall, cpu| Took {
+        let run = |wall, cpu| RunCost {
             wall,
             cpu,
             load: None,
         };
-        let times = Times::of(&[
+        let times = Times::from_runs(&[
             run(1.0, Some(1.5)),
             run(30.0, Some(1.6)),
             run(1.2, Some(1.7)),
@@ -162,14 +165,14 @@ mod tests {
 
     #[test]
     fn one_run_has_no_spread_and_unknown_cpu_time_stays_unknown() {
-        let known = Took {
+        let known = RunCost {
             wall: 1.0,
             cpu: Some(1.0),
             load: None,
         };
-        assert_eq!(Times::of(&[known]).spread(), None);
+        assert_eq!(Times::from_runs(&[known]).spread(), None);
         assert_eq!(
-            Times::of(&[known, Took { cpu: None, ..known }]).cpu_seconds,
+            Times::from_runs(&[known, RunCost { cpu: None, ..known }]).cpu_seconds,
             None
         );
     }

@@ -1,8 +1,8 @@
 //! The bytes of a certificate: variable-length integers and little-endian floats, compressed with zstd.
 //!
 //! `docs/formats/certificate.md` describes every byte. Equal certificates have equal bytes. The decoder
-//! accepts only the bytes that the encoder writes (before compression), checks every count against the bytes
-//! that are left before it allocates, and every triangle id against the scene.
+//! accepts only bytes that the encoder writes (before compression). It checks every count against the
+//! remaining bytes before it allocates memory, and every triangle id against the scene.
 
 mod read;
 #[cfg(test)]
@@ -12,26 +12,28 @@ mod write;
 pub use read::{decode, decode_raw};
 pub use write::encode;
 
-/// Compression level of zstd, its default. Higher levels cost more time than the space they save is worth.
+/// The compression level of zstd, its default. Higher levels cost more time than their smaller files justify.
 const LEVEL: i32 = 3;
-/// Most bytes that the certificate of one cell may have before compression, hundreds of times those of a
-/// complex cell.
+/// The maximum uncompressed size of a cell's certificate in bytes, hundreds of times the size for a complex
+/// cell.
 const MAX_BYTES: u64 = 256 << 20;
-/// Most memory that a decoded certificate may take. A step of one byte takes over thirty bytes in memory.
+/// The maximum memory of a decoded certificate, in bytes. A step of one byte needs more than thirty bytes of
+/// memory.
 const MAX_MEMORY: usize = 4 << 30;
 
-/// Added to the first number of the tail when hidden boxes follow; numbers without them are smaller.
+/// The number that the encoder adds to the first number after the hidden groups if hidden boxes follow.
+/// Without hidden boxes, that first number is smaller.
 const APART: u64 = 1 << 33;
 
-/// Bytes that are not a valid certificate.
+/// The error that bytes are not a valid certificate, with the first broken rule of the format.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the cell's certificate cannot be read: {0}; it is damaged or was written by another version"
+    "the cell's certificate cannot be read: {0}; the bytes are damaged or from another version of the program"
 )]
 pub struct CodecError(&'static str);
 
 impl CodecError {
-    /// The first rule of the format that the bytes break.
+    /// Returns the first rule of the format that the bytes break.
     pub fn reason(&self) -> &'static str {
         self.0
     }

@@ -1,4 +1,4 @@
-//! The body of the fuzz target `certificate`, which the tests call too.
+//! The body of the fuzz target `certificate`, which the tests call, too.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
@@ -6,9 +6,9 @@ use sightline_numbers::Aabb;
 use crate::checker::{CellClaims, Triangles, check_cell};
 use crate::codec;
 
-/// Decodes bytes (without compression) as the certificate of a cell in front of three walls, and checks all
-/// its claims. Must not panic. Returns whether the bytes are a certificate; whether the checker accepts the
-/// claims does not matter here.
+/// Decodes bytes without compression as the certificate of a cell in front of three walls, and checks all
+/// claims. Returns true if the bytes are a certificate, even if the checker rejects its claims. No input may
+/// cause a panic.
 pub fn certificate(raw: &[u8]) -> bool {
     let wall = |z: f32| {
         let [a, b, c, d] =

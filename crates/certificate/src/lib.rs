@@ -1,11 +1,29 @@
-//! Visibility certificates: what a certificate states, its bytes, and a checker.
+//! Visibility certificates: their contents, their bytes, and a checker.
 //!
 //! A certificate gives the reasons for the visibility set of one view cell: a witness (an unobstructed
-//! segment) for each visible triangle, and proofs for the hidden ones. [`checker`] decides with integers
-//! alone whether the reasons hold. It shares no code with the search that finds them: this crate depends on
-//! no other crate of the project but the number types. [`verify`] checks a whole result.
-//! `docs/formats/certificate.md` describes every byte and every argument, so that a second checker can be
-//! written from it.
+//! segment) for each visible triangle, and proofs for the hidden ones. `docs/formats/certificate.md`
+//! describes every byte and every argument, so that a second checker can be written from it.
+//!
+//! # Modules
+//!
+//! - `certificate`, `proof`: the contents ([`CellCertificate`], [`Witness`], [`Proof`]).
+//! - `codec`: the bytes of a certificate.
+//! - `checker`: the decision whether the reasons hold for the scene and the set.
+//! - `verify`: [`verify()`], the check of a whole result. The feature `pvs` adds the reader of `.pvs` files.
+//!
+//! # Invariants
+//!
+//! - The checker decides only with integers, from the triangles and the certificate.
+//! - The checker shares no code with the search that finds the reasons. This crate depends only on the number
+//!   types in `crates/numbers`, and on `crates/pvs` with the feature `pvs`; the compiler enforces this.
+//! - A certificate is not trusted: decoding and checking return errors and do not panic.
+//!
+//! # Limits
+//!
+//! - Certificates are about closed cells and opaque or see-through triangles. Boxes along walls, regions of
+//!   viewpoints, masked triangles and the method `portals` have no certificates.
+//!
+//! # Example
 //!
 //! The smallest proof: a small triangle behind a wall, from a cell in front of the wall.
 //!
@@ -31,7 +49,7 @@
 //! let certificate = CellCertificate { hidden: vec![group], ..CellCertificate::default() };
 //!
 //! let cell = Aabb::new(v(0.0, 0.0, 0.0), v(1.0, 1.0, 1.0));
-//! // The wall itself is undecided here; a certificate need not decide everything.
+//! // The wall itself is undecided here; a certificate need not decide every triangle.
 //! let claims =
 //!     CellClaims { cell, visible: &[0], undecided: &[0], certificate: &certificate, above: None };
 //! check_cell(&scene, &claims, &|_| true)?;
@@ -40,7 +58,7 @@
 //! let bytes = codec::encode(&certificate)?;
 //! assert_eq!(codec::decode(&bytes, 2)?, certificate);
 //!
-//! // An altered proof is refused: no line passes the boundary edges of the wall on their negative side.
+//! // The checker rejects an altered proof: no line passes the wall's boundary edges on their negative side.
 //! let mut altered = certificate.clone();
 //! altered.hidden[0].proofs[0].steps = vec![Step::Block { occluder: 0, negative: true, cuts: vec![] }];
 //! let claims = CellClaims { certificate: &altered, ..claims };

@@ -1,12 +1,12 @@
-//! Verification of a whole result: every witness and every certificate checked against the scene.
+//! Verification of a whole result: checks every witness and every certificate against the scene.
 
-mod apart;
 mod consistency;
 #[cfg(feature = "pvs")]
 mod pvs;
 mod reader;
 mod result;
 mod sample;
+mod separate_cells;
 mod totals;
 
 use std::collections::BTreeSet;
@@ -20,44 +20,46 @@ use crate::certificate::{CellCertificate, HiddenGroup};
 use crate::checker::{CellClaims, CellRefusal, Claim, Kinds, Triangles, check_cell_until};
 pub use reader::{CertificateReader, Certificates, ReadError};
 pub use result::{BakedResult, NOT_REACHED, SET_ASIDE};
-use sample::Drawn;
 pub use sample::Sample;
+use sample::SampledTriangles;
 use totals::CellTotals;
 pub use totals::{Count, Hidden, Totals};
 
-/// Bytes of compressed certificates that are decoded at the same time. A larger cell is checked alone.
+/// The maximum size of the compressed certificates that are checked at the same time, in bytes. A cell with a
+/// larger certificate is checked separately.
 const BATCH_BYTES: usize = 16 << 20;
 
-/// Receives the number of cells verified so far and the number of cells.
+/// A callback that receives the number of cells verified so far and the number of all cells of the result.
 pub type OnProgress<'a> = dyn Fn(u32, u32) + Sync + 'a;
 
-/// Options of [`verify`]. The default checks every claim.
+/// The options of [`verify`]. The default checks every claim.
 #[derive(Clone, Copy, Default)]
 pub struct VerifyOptions<'a> {
-    /// Which triangles block and which show; by default all do both.
+    /// The kinds of the triangles. By default, all triangles block and show.
     pub kinds: Kinds<'a>,
-    /// Check only the claims about a random sample of the pairs of cell and triangle. That every triangle is
-    /// accounted for is always checked.
+    /// The sample of pairs of cell and triangle whose claims are checked; `None` checks all claims. The check
+    /// that every triangle is accounted for is independent of the sample.
     pub sample: Option<Sample>,
-    /// Called after each batch of cells.
+    /// The callback that runs after each batch of cells.
     pub progress: Option<&'a OnProgress<'a>>,
-    /// Polled between claims; the verification stops soon after it turns true.
+    /// The callback that the verification calls between claims. The verification stops soon after the
+    /// callback returns true.
     pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 
-/// An accepted verification.
+/// The counts of an accepted verification.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
     /// The number of cells.
     pub cells: u32,
     /// The number of pairs of cell and triangle.
     pub pairs: u64,
-    /// The claims found and checked.
+    /// The number of claims found and the number checked, by kind.
     pub totals: Totals,
 }
 
 impl Report {
-    /// The number of pairs whose triangle has no area; such triangles are never visible.
+    /// Returns the number of pairs whose triangle has no area. Such triangles are never visible.
     pub fn without_area(&self) -> u64 {
         let t = &self.totals;
         self.pairs
@@ -65,30 +67,32 @@ impl Report {
     }
 }
 
-/// Why a result is not accepted.
+/// The reason why a result is not accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum VerifyError {
     /// The result has no certificates.
-    #[error("the result has no certificates (method {method})")]
+    #[error("the result of method {method} has no certificates; bake it with certificates")]
     NoCertificates {
-        /// The method of the result.
+        /// The method that the result states.
         method: String,
     },
-    /// The result was baked from a scene of another size.
-    #[error("the result is about {result} triangles, and the scene has {scene}")]
+    /// The result was baked from a scene with another number of triangles.
+    #[error("the scene of the result has {result} triangles, but the given scene has {scene}")]
     OtherScene {
-        /// Triangles of the scene.
+        /// The number of triangles of the given scene.
         scene: usize,
-        /// Triangles of the result.
+        /// The number of triangles of the scene from which the result was baked.
         result: u32,
     },
     /// A claim does not hold.
     #[error(transparent)]
     Refused(#[from] Refused),
-    /// The caller cancelled the verification. All cells verified until then were accepted.
-    #[error("cancelled: {verified} of {cells} cells verified so far, all accepted")]
+    /// The caller cancelled the verification. All cells verified before were accepted.
+    #[error(
+        "the caller cancelled the verification; {verified} of {cells} cells verified so far, all accepted"
+    )]
     Cancelled {
-        /// Cells that were verified and accepted.
+        /// The number of cells that were verified and accepted.
         verified: u32,
         /// The number of cells.
         cells: u32,
@@ -99,21 +103,22 @@ pub enum VerifyError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{reason}", .cell.map_or(String::new(), |cell| format!("cell {cell}: ")))]
 pub struct Refused {
-    /// The cell; `None` if the claim is about the whole result.
+    /// The cell of the claim; `None` if the claim is about the whole result.
     pub cell: Option<u32>,
-    /// The triangles that the claim is about; empty if it is about none or the whole cell.
+    /// The triangles that the claim is about; empty if the claim is about no triangle or about the whole
+    /// cell.
     pub triangles: Vec<u32>,
-    /// Why the claim does not hold.
+    /// The reason why the claim does not hold.
     pub reason: String,
 }
 
-/// Checks the witnesses and certificates of a result against the triangles of its scene, in the order of the
-/// scene.
+/// Checks the witnesses and certificates of a result against its scene. `triangles` must be in the order of
+/// the scene.
 ///
-/// Uses the current rayon pool. The first refused cell is the same on every run.
+/// Uses the current rayon pool. The first rejected cell is the same on every run.
 ///
 /// # Errors
-/// [`VerifyError`] if the result is not accepted, or not to the end.
+/// [`VerifyError`] if the result is rejected, or if the verification did not finish.
 pub fn verify(
     triangles: &[[Vec3; 3]],
     result: &dyn BakedResult,
@@ -186,12 +191,13 @@ pub fn verify(
             progress(next, cells);
         }
     }
-    totals.cells_apart = apart::check(result, &apart).map_err(|(cell, reason)| Refused {
-        cell: Some(cell),
-        triangles: Vec::new(),
-        reason,
-    })?;
-    // Several cells of a sample may rely on one certificate of a cell group. It counts once.
+    totals.cells_apart =
+        separate_cells::check(result, &apart).map_err(|(cell, reason)| Refused {
+            cell: Some(cell),
+            triangles: Vec::new(),
+            reason,
+        })?;
+    // Several cells of a sample may rely on one certificate of a cell group, which counts once.
     totals.certificates.checked += group_claims.len() as u64;
     Ok(Report {
         cells,
@@ -200,7 +206,7 @@ pub fn verify(
     })
 }
 
-/// Why the check of a cell ended early.
+/// The reason why the check of a cell ended early.
 enum Stop {
     Cancelled,
     Refused { triangles: Vec<u32>, reason: String },
@@ -238,20 +244,20 @@ struct Verification<'a> {
     result: &'a dyn BakedResult,
     scene: Triangles<'a>,
     reader: CertificateReader,
-    drawn: Option<&'a Drawn>,
+    drawn: Option<&'a SampledTriangles>,
     cancelled: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl Verification<'_> {
-    /// The cells from `first` on that are checked at the same time: enough to occupy all threads when one
-    /// cell has a long proof, few enough to hold all their certificates in memory.
+    /// Returns the cells from `first` on that are checked at the same time. These cells are enough to occupy
+    /// all threads if one cell has a long proof, and few enough that all their certificates fit in memory.
     fn batch(&self, first: u32) -> Vec<u32> {
         let mut bytes = 0;
         let end = first
             .saturating_add(2 * rayon::current_num_threads() as u32)
             .min(self.result.cell_count());
         let fits = |cell: &u32| {
-            // A certificate that cannot be read is refused when its cell is checked.
+            // A certificate that cannot be read is rejected when its cell is checked.
             bytes += self
                 .result
                 .certificate(*cell)
@@ -263,13 +269,13 @@ impl Verification<'_> {
         (first..end).take_while(fits).collect()
     }
 
-    /// Checks the claims of one cell that are wanted.
+    /// Checks the selected claims of one cell.
     fn cell(&self, cell: u32) -> Result<CellTotals, Stop> {
         if (self.cancelled)() {
             return Err(Stop::Cancelled);
         }
         let nothing = BTreeSet::new();
-        // Without a sample, every triangle is wanted.
+        // Without a sample, every triangle is selected.
         let wanted = self.drawn.map(|d| d.get(&cell).unwrap_or(&nothing));
         let visible = self.result.visible(cell)?;
         let undecided = self.result.undecided(cell)?;
@@ -282,19 +288,20 @@ impl Verification<'_> {
         let bounds = self
             .result
             .cell_bounds(cell)
-            .ok_or_else(|| "the cell has no bounds".to_owned())?;
+            .ok_or_else(|| "the result has no bounds for the cell".to_owned())?;
         let certificates = self
             .reader
             .read(self.result, cell)?
-            .ok_or_else(|| "the cell has no certificate".to_owned())?;
-        // What such a cell stores is not checked as that of other cells, so they must not rely on it.
+            .ok_or_else(|| "the result has no certificate for the cell".to_owned())?;
+        // The certificates of a cell without viewpoints are not checked like the certificates of other cells,
+        // so other cells must not rely on them.
         let only_boxes = CellCertificate {
             apart: certificates.own.apart.clone(),
             ..CellCertificate::default()
         };
         if unreached && (certificates.own != only_boxes || !undecided.is_empty()) {
             return Err(
-                "no viewpoint is in the cell, but it has claims about triangles"
+                "no viewpoint is in the cell, but the result makes claims about triangles"
                     .to_owned()
                     .into(),
             );
@@ -321,8 +328,8 @@ impl Verification<'_> {
                     wanted.is_none_or(|w| w.contains(&own.seen[at].0)),
                 ),
                 Claim::Hidden(at) => (&proofs, wanted.is_none_or(|w| any(&own.hidden[at], w))),
-                // Stored here for other cells too, and checked once: with this cell, or for the cell of a
-                // sample that relies on it.
+                // This cell stores the certificate for other cells, too. The group is checked once: with this
+                // cell, or for the cell of a sample that relies on the group.
                 Claim::Shared(_) => (&proofs, wanted.is_none()),
                 Claim::Above(at) => {
                     let shared_group = above.and_then(|shared| shared.hidden.get(at));
@@ -337,7 +344,7 @@ impl Verification<'_> {
                     return take;
                 }
                 Claim::Meets(id) => (&meeting, wanted.is_none_or(|w| w.contains(&id))),
-                // With a sample, as many boxes of a cell as pairs were drawn, beginning anywhere.
+                // With a sample, check as many boxes of a cell as pairs were drawn, from an arbitrary start.
                 Claim::Apart(at) => (
                     &boxes,
                     wanted.is_none_or(|w| drawn_box(at, own.apart.len(), w)),
@@ -349,8 +356,8 @@ impl Verification<'_> {
         };
         out.totals.cells_unreached = u64::from(unreached);
         if unreached {
-            // Nothing is claimed about triangles, only about other cells.
-            apart::check_boxes(&self.scene, &claims, &pick, self.cancelled)?;
+            // The cell makes no claims about triangles, only about other cells.
+            separate_cells::check_boxes(&self.scene, &claims, &pick, self.cancelled)?;
         } else {
             check_cell_until(&self.scene, &claims, &pick, self.cancelled)?;
         }
@@ -383,8 +390,8 @@ impl Verification<'_> {
     }
 }
 
-/// Whether a sample has the box `at` of `count`: as many boxes as pairs of the cell were drawn, in order
-/// from a place that these pairs give.
+/// Returns true if a sample contains the box `at` of `count` boxes. The sample has as many boxes as drawn
+/// pairs of the cell, in order from a start that depends on these pairs.
 fn drawn_box(at: usize, count: usize, wanted: &BTreeSet<u32>) -> bool {
     let from = wanted.iter().fold(0usize, |sum, id| {
         sum.wrapping_mul(31).wrapping_add(*id as usize)
@@ -397,7 +404,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sample_draws_as_many_boxes_as_pairs_and_none_is_always_left_out() {
+    fn sample_draws_one_box_per_pair_and_reaches_all() {
         let mut ever = BTreeSet::new();
         for id in 0..40 {
             let wanted = BTreeSet::from([id, id + 7]);

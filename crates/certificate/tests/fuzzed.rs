@@ -7,10 +7,10 @@ mod support;
 use sightline_certificate::fuzzing::certificate;
 use support::{alone, raw, relying, sharing};
 
-/// Mutations of each valid certificate.
+/// The number of mutations of each valid certificate.
 const ROUNDS: usize = 2000;
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// A random number generator (xorshift64*) with a fixed sequence per seed.
 struct Random(u64);
 
 impl Random {
@@ -54,7 +54,7 @@ fn mutate(r: &mut Random, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn inputs_that_once_crashed_do_not() {
+fn former_crash_inputs_do_not_crash() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
     let mut kept: Vec<_> = std::fs::read_dir(crashes)
         .unwrap()
@@ -77,7 +77,7 @@ fn mutated_certificates_do_not_crash() {
         let decoded = (0..ROUNDS)
             .filter(|_| certificate(&mutate(&mut r, seed.clone(), other)))
             .count();
-        // Mutations that are all refused, or all decoded, would reach little of the code.
+        // If all mutations were rejected, or all were decoded, the test would reach little of the code.
         assert!(
             (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&decoded),
             "seed {s}: {decoded} of {ROUNDS}"

@@ -1,4 +1,5 @@
-//! Verification of a result as a library call: acceptance, totals, samples, refusals, and cancellation.
+//! Tests of the verification of a result as a library call: acceptance, totals, samples, rejections,
+//! cancellation.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod support;
@@ -74,7 +75,7 @@ impl BakedResult for Memory {
 }
 
 #[test]
-fn a_sound_result_is_accepted_and_counted() {
+fn accepts_and_counts_sound_result() {
     let result = Memory::new(&[alone(), sharing(), relying()]);
     let calls = Mutex::new(Vec::new());
     let progress = |done, cells| calls.lock().unwrap().push((done, cells));
@@ -102,7 +103,7 @@ fn a_sound_result_is_accepted_and_counted() {
 }
 
 #[test]
-fn a_sample_checks_fewer_claims_of_the_same_result() {
+fn sample_checks_fewer_claims_of_same_result() {
     let result = Memory::new(&[alone(), sharing(), relying()]);
     let sample = Some(Sample { pairs: 3, seed: 1 });
     let report = verify(
@@ -121,7 +122,7 @@ fn a_sample_checks_fewer_claims_of_the_same_result() {
 }
 
 #[test]
-fn a_false_claim_is_refused_with_its_cell_and_triangles() {
+fn reports_cell_and_triangles_of_false_claim() {
     let mut false_witness = alone();
     false_witness.seen[1].1 = false_witness.seen[0].1.clone();
     let refused = verify(
@@ -145,7 +146,7 @@ fn a_false_claim_is_refused_with_its_cell_and_triangles() {
         panic!("{refused:?}")
     };
     assert_eq!((refused.cell, &*refused.triangles), (Some(0), &[2, 3][..]));
-    // A cell that relies on a cell without a shared certificate.
+    // The second cell relies on a cell without a shared certificate.
     let refused = verify(
         &triangles(),
         &Memory::new(&[alone(), relying()]),
@@ -155,7 +156,7 @@ fn a_false_claim_is_refused_with_its_cell_and_triangles() {
 }
 
 #[test]
-fn statements_about_the_whole_result_are_checked() {
+fn rejects_false_statements_about_whole_result() {
     let check = |change: &dyn Fn(&mut Memory)| {
         let mut result = Memory::new(&[alone()]);
         change(&mut result);
@@ -177,14 +178,14 @@ fn statements_about_the_whole_result_are_checked() {
     }
     assert!(whole(check(&|r| r.parameters = two_cells)));
     assert!(whole(check(&|r| r.flags = 4)));
-    // A cell is said to have no viewpoints only where the parameters say how many have some, and has an empty
-    // set then.
+    // A cell may have the flag for missing viewpoints only if the parameters state how many cells have
+    // viewpoints. The set of such a cell must be empty.
     assert!(whole(check(&|r| r.flags = NOT_REACHED)));
     let refused = check(&|r| {
         (r.flags, r.parameters) = (NOT_REACHED, r#"{"viewpoints":{"cells_reached":0}}"#);
     });
     assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(0)));
-    // It stores nothing that another cell could rely on, because nothing but its boxes is checked.
+    // Such a cell must store nothing that another cell could rely on, because only its boxes are checked.
     for stored in [alone(), sharing()] {
         let mut result = Memory::new(&[stored]);
         (result.flags, result.parameters) = (NOT_REACHED, r#"{"viewpoints":{"cells_reached":0}}"#);
@@ -213,7 +214,7 @@ fn statements_about_the_whole_result_are_checked() {
 }
 
 #[test]
-fn a_cancelled_verification_says_how_far_it_got() {
+fn cancelled_verification_reports_progress() {
     let cells = vec![alone(); 400];
     let result = Memory::new(&cells);
     let asked = AtomicU32::new(0);

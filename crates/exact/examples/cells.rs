@@ -1,15 +1,15 @@
-//! Times exact cell queries on random cells of a baked result.
+//! Example program that times exact cell queries on random cells of a baked result.
 //!
 //! `cargo run --release -p sightline-exact --example cells -- SCENE OUT.pvs [COUNT [SEED [SECONDS]]]`
 
-#![allow(clippy::print_stdout, reason = "it prints what it measured")]
+#![allow(clippy::print_stdout, reason = "the example prints its measurements")]
 
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use sightline_certificate::{Witness, codec};
 use sightline_exact::Cell;
-use sightline_exact::{ExactScene, Limits, Task, decide};
+use sightline_exact::{CellTask, ExactScene, QueryLimits, decide};
 use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -42,14 +42,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let [min, max] = pvs.cell_bounds(cell).ok_or("no such cell")?.map(Vec3::from);
         let cell_box = Cell::new(min, max).ok_or("the cell is flat")?;
         let start = Instant::now();
-        let decided = decide(&Task {
+        let decided = decide(&CellTask {
             scene: &prepared,
             cell: cell_box,
-            places: None,
+            region: None,
             seen: &ids,
             above: &[],
             listed: None,
-            limits: Limits::default(),
+            limits: QueryLimits::default(),
             seed,
             keep: true,
             stop: &|| start.elapsed() > most,

@@ -1,14 +1,15 @@
-//! Times random queries: a face of one of 8×8×8 cells over the scene's bounds, and a triangle.
+//! Example program that times random queries between a face of one of 8×8×8 cells over the scene's bounds,
+//! and a triangle.
 //!
 //! `cargo run --release -p sightline-exact --example pairs -- SCENE [COUNT [SEED [check]]]`
 
-#![allow(clippy::print_stdout, reason = "it prints what it measured")]
+#![allow(clippy::print_stdout, reason = "the example prints its measurements")]
 
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use sightline_certificate::checker;
-use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, sightlines};
+use sightline_exact::{Occluders, Polygon, QueryCost, QueryLimits, Verdict, sightlines};
 use sightline_numbers::random::SplitMix64;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -29,12 +30,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         start.elapsed()
     );
     let (lo, hi) = (scene.bounds().min.as_dvec3(), scene.bounds().max.as_dvec3());
-    let mut kinds: [(&str, Vec<Duration>, Cost); 3] =
-        ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), Cost::default()));
+    let mut kinds: [(&str, Vec<Duration>, QueryCost); 3] =
+        ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), QueryCost::default()));
     let (mut blockers, mut proved) = (0usize, 0usize);
-    // Of each hidden pair the effective occluders, seconds and regions.
+    // For each hidden pair: the number of effective occluders, the seconds and the number of regions.
     let mut grown: Vec<(f64, f64, f64)> = Vec::new();
-    let limits = Limits::default();
+    let limits = QueryLimits::default();
     let check = args.get(4).is_some_and(|a| a == "check");
     let mut checking = Duration::ZERO;
     let raw: Vec<[glam::Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
@@ -57,7 +58,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             .collect();
         let id = (random() % scene.len() as u64) as usize;
         let corners = scene.triangles()[id].v.map(|v| v.as_dvec3());
-        // Only what is on the outer side of the face and no part of which is in the cell.
+        // Query only triangles that are entirely on the outer side of the face.
         let outside = corners.iter().all(|p| {
             if up {
                 p[axis] > face[0][axis]
@@ -85,7 +86,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                         &p,
                         &q,
                     ) {
-                        println!("REFUSED witness for {face:?} {id}: {e}");
+                        println!("REJECTED witness for {face:?} {id}: {e}");
                     }
                 }
                 0
@@ -99,7 +100,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                         &[checker::corners(&corners)],
                         proof,
                     ) {
-                        println!("REFUSED proof for {face:?} {id}: {e}");
+                        println!("REJECTED proof for {face:?} {id}: {e}");
                     }
                     checking += start.elapsed();
                 }
@@ -129,7 +130,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let total: Duration = times.iter().sum();
         let d = cost.decisions;
         println!(
-            "{name}: {} pairs, mean {:.4} ms, p50 {:.4}, p99 {:.3}, max {:.1}; a pair: {:.1} regions, \
+            "{name}: {} pairs, mean {:.4} ms, p50 {:.4}, p99 {:.3}, max {:.1}; per pair: {:.1} regions, \
              {:.1} lines, {:.1} occluders, {:.2} halvings; {:.0} decisions, {:.3} % exact ({:.3} % zero)",
             times.len(),
             total.as_secs_f64() * 1e3 / n,
@@ -150,15 +151,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         checking.as_secs_f64() * 1e3 / proved.max(1) as f64
     );
     println!(
-        "occluders a proof: {:.2}",
+        "occluders per proof: {:.2}",
         blockers as f64 / proved.max(1) as f64
     );
     growth(&grown);
     Ok(())
 }
 
-/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m
-/// that fits the pairs best (least squares of logarithms, from two occluders on).
+/// Prints the growth of a hidden pair's cost with its effective occluders, m.
+///
+/// The output contains means by classes of m, and the power of m that fits the pairs best (least squares of
+/// logarithms, for pairs with at least two occluders).
 fn growth(pairs: &[(f64, f64, f64)]) {
     let mut from = 1.0;
     while pairs.iter().any(|p| p.0 >= from) {

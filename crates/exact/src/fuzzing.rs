@@ -1,19 +1,21 @@
-//! The body of the fuzz target `query`, which the tests call too.
+//! The body of the fuzz target `query`, which the tests also call.
 
 use glam::{DVec3, Vec3};
 use sightline_certificate::checker::{self, check_hidden, check_witness};
 use sightline_scene::{Object, Scene, Triangle};
 
-use crate::{Limits, Occluders, Polygon, Verdict, sightlines};
+use crate::{Occluders, Polygon, QueryLimits, Verdict, sightlines};
 
-/// Decodes bytes as two triangles and occluding triangles, and asks whether one of the two sees the other.
-/// The first byte selects the coordinates: any bits of floats, quarters from −32 to 31.75, or the upper half
-/// of a byte on a scale of its own for each point. Returns the decision: `None` if the bytes are too short or
-/// the query stays undecided.
+/// Decodes bytes as two triangles A and B and at most 24 occluding triangles, and queries whether A sees B.
+///
+/// The first byte selects the encoding of a coordinate: four bytes as an `f32`, one signed byte in quarters
+/// (from −32 to 31.75), or the upper four bits of a signed byte times a power of two per point. The function
+/// returns true if A sees B, and false if B is hidden. It returns `None` if the bytes are not valid triangles
+/// or the query stays undecided.
 ///
 /// # Panics
-/// If the checker refuses a witness or a proof, or the queries in the two directions contradict each other.
-/// No bytes may cause that.
+/// If the checker rejects a witness or a proof, or if the query from B to A contradicts the query from A to
+/// B. Such a panic is an error in the search or the checker; no input may cause it.
 pub fn query(raw: &[u8]) -> Option<bool> {
     let (kind, raw) = raw.split_first()?;
     let mut bytes = raw.iter().copied();
@@ -54,7 +56,7 @@ pub fn query(raw: &[u8]) -> Option<bool> {
     let ends: [[DVec3; 3]; 2] = [a, b].map(|t| t.map(|v| v.as_dvec3()));
     let [a, b] = ends.map(|t| Polygon::checked(&t).ok());
     let (a, b) = (a?, b?);
-    let limits = Limits {
+    let limits = QueryLimits {
         regions: 300,
         vectors: 20_000,
         splits: 16,
@@ -72,22 +74,28 @@ pub fn query(raw: &[u8]) -> Option<bool> {
             Verdict::Visible(ends) => {
                 let [p, q] = ends.each_ref().map(crate::geometry::predicates::integers);
                 let checked = check_witness(&triangles, ca, cb, &p, &q);
-                assert!(checked.is_ok(), "a witness was refused: {checked:?}");
+                assert!(
+                    checked.is_ok(),
+                    "the checker rejected a witness: {checked:?}"
+                );
                 *verdict = Some(true);
             }
             Verdict::Hidden(proof) => {
                 let checked = check_hidden(&triangles, ca, cb, &proof);
-                assert!(checked.is_ok(), "a proof was refused: {checked:?}");
+                assert!(checked.is_ok(), "the checker rejected a proof: {checked:?}");
                 *verdict = Some(false);
             }
             Verdict::Undecided(_) => {}
         }
     }
     if let [Some(there), Some(back)] = verdicts {
-        assert_eq!(there, back, "A sees B and B does not see A");
+        assert_eq!(
+            there, back,
+            "the query from A to B contradicts the query from B to A"
+        );
     }
     verdicts[0].or(verdicts[1])
 }
 
-/// Most occluding triangles, so that a run is fast.
+/// The maximum number of occluding triangles; a run with more would be slow.
 const MOST_TRIANGLES: usize = 24;

@@ -1,12 +1,14 @@
 //! Exact from-region visibility: queries in line space, their witnesses and proofs, and whole view cells.
 //!
-//! A query decides whether one convex polygon sees another among the triangles of a scene. The verdict is a
-//! witness (an unobstructed segment), a proof that [`sightline_certificate::checker`] verifies with exact
-//! arithmetic only, or "undecided" with the limit that ended the search. No tolerance decides a verdict: a
-//! sign is computed in doubles with an error bound, and in integers where the bound leaves it open. All
-//! coordinates are in the units and the frame of the scene.
+//! A query decides whether one convex polygon sees another among the triangles of a scene. The [`Verdict`] is
+//! a witness (an unobstructed segment), a proof that nothing is visible, or "undecided" with the limit that
+//! ended the search. [`sightline_certificate::checker`] verifies witnesses and proofs with only exact
+//! arithmetic. All coordinates are in the units and the frame of the scene.
+//! `docs/decisions/0006-exact-queries.md` explains queries, and `0007-exact-cells.md` whole cells.
 //!
-//! The crate has one module for each subject. A module depends only on those above it in this list:
+//! # Modules
+//!
+//! Each module depends only on modules above it in this list:
 //!
 //! - `arithmetic`: double-doubles, big integers, signs, random numbers.
 //! - `geometry`: points, exact polygons, view cells, the frame of a query, the bounding volume hierarchy.
@@ -16,9 +18,33 @@
 //! - `search`: the query between two polygons, with occluder fusion and side bitsets.
 //! - `cells`: queries from a view cell, all triangles of a cell, and groups of cells.
 //!
+//! The entry points are [`sightlines`] for two polygons, [`decide`] for a cell, and [`decide_group`] for a
+//! group of cells.
+//!
+//! # Invariants
+//!
+//! - No verdict depends on a tolerance: the search computes each sign in doubles with an error bound, and in
+//!   integers if the error bound does not determine the sign.
+//! - visible ⊆ V(C) ⊆ visible ∪ undecided for every cell C. V(C) is the true set of the cell, and "visible"
+//!   and "undecided" are the triangles that the search returns as such. The rule also holds if a limit or a
+//!   caller stops the search early.
+//! - A triangle that sampling has seen is in the set "visible" only if it meets the cell or the search has
+//!   found a witness for it.
+//! - The initial region of line space in the checker lies inside the initial region of the search. A proof of
+//!   the search therefore covers the region of the checker.
+//!
+//! # Limits
+//!
+//! - Exact queries do not support masked triangles, and decide single triangles only. The sets of clusters
+//!   and objects of an exact result are derived from its sets of triangles.
+//! - Exact methods decide a reached cell as a whole, or its part of the region that walls enclose. They do
+//!   not decide the marked parts of a cell.
+//!
+//! # Example
+//!
 //! ```
 //! use glam::{DVec3, Vec3};
-//! use sightline_exact::{Limits, Occluders, Polygon, Verdict, sightlines};
+//! use sightline_exact::{QueryLimits, Occluders, Polygon, Verdict, sightlines};
 //! use sightline_scene::{Object, Scene, Triangle};
 //!
 //! // A triangle perpendicular to the x axis, as wide as `size`.
@@ -34,13 +60,13 @@
 //! let behind = scene(Triangle { v: corners(3.0, 10.0) });
 //! let (a, b) = ([polygon(0.0)], [polygon(2.0)]);
 //!
-//! // The wall stands between the two polygons: the proof names triangle 0 of the scene.
-//! let (verdict, _) = sightlines(&between, &a, &b, &Limits::default());
+//! // The wall is between the two polygons: the proof names triangle 0 of the scene.
+//! let (verdict, _) = sightlines(&between, &a, &b, &QueryLimits::default());
 //! let Verdict::Hidden(proof) = verdict else { panic!("the wall covers all lines") };
 //! assert_eq!(proof.blockers(), [0]);
 //!
-//! // The wall stands behind both polygons: the witness is a segment from one to the other.
-//! let (verdict, _) = sightlines(&behind, &a, &b, &Limits::default());
+//! // The wall is behind both polygons: the witness is a segment from one polygon to the other.
+//! let (verdict, _) = sightlines(&behind, &a, &b, &QueryLimits::default());
 //! assert!(matches!(verdict, Verdict::Visible(_)));
 //! ```
 
@@ -55,13 +81,16 @@ mod search;
 mod surfaces;
 
 pub use cells::{
-    CellGroup, Decided, ExactScene, ExactViewRegion, Found, GroupDecided, QueryStatistics, Sources,
-    Task, box_from_cell, decide, decide_group, decide_listed, from_cell,
+    CellDecisions, CellGroup, CellTask, ExactScene, ExactViewRegion, FromCellAnswer,
+    GroupDecisions, QueryStatistics, Sources, box_from_cell, decide, decide_group, decide_listed,
+    from_cell,
 };
-pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
+pub use geometry::{Cell, PointOrigin, Polygon, PolygonError, polygon, predicates};
 pub use line_space::Decisions;
 pub use occluders::{Occluder, OccluderId, Occluders};
 pub use search::{Antipenumbra, NoAntipenumbra, Surface, Swath, antipenumbra};
-pub use search::{Cost, Limits, Reason, Stabbed, Verdict, sightlines, sightlines_until, stab};
+pub use search::{
+    QueryCost, QueryLimits, Stabbed, UndecidedReason, Verdict, sightlines, sightlines_until, stab,
+};
 
-pub use surfaces::Hides;
+pub use surfaces::HiddenFrom;

@@ -1,5 +1,5 @@
-//! Boxes hidden from a cell: rays do not refute the answer, the checker accepts the proofs and refuses
-//! altered ones, and boxes that share a part of a face are not asked about.
+//! Tests of boxes hidden from a cell: rays do not refute the answer, the checker accepts the proofs and
+//! rejects altered proofs, and no query runs for boxes that share a part of a face.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -11,20 +11,21 @@ use glam::Vec3;
 use proptest::prelude::*;
 use sightline_certificate::checker::{CellClaims, Triangles, check_box_claim};
 use sightline_certificate::{CellCertificate, HiddenBox};
-use sightline_exact::{Cell, Cost, Found, Limits, box_from_cell};
+use sightline_exact::{Cell, FromCellAnswer, QueryCost, QueryLimits, box_from_cell};
 use sightline_numbers::random::SplitMix64;
 use sightline_scene::Aabb;
 
-fn ask(triangles: &[Corners], cell: Aabb, of: Aabb) -> Option<Found> {
+fn ask(triangles: &[Corners], cell: Aabb, target: Aabb) -> Option<FromCellAnswer> {
     let scene = exact_scene(triangles);
     let cell = Cell::new(cell.min, cell.max).unwrap();
-    let limits = Limits::default();
+    let limits = QueryLimits::default();
     box_from_cell(
         scene.occluders(),
         cell,
-        of,
-        (&limits, &|| false),
-        &mut Cost::default(),
+        target,
+        &limits,
+        &|| false,
+        &mut QueryCost::default(),
     )
 }
 
@@ -43,7 +44,7 @@ fn check(triangles: &[Corners], cell: Aabb, apart: HiddenBox) -> Result<(), Stri
     check_box_claim(&Triangles::new(triangles), &claims, 0).map_err(|e| e.to_string())
 }
 
-/// A wall at a height over the square from `from` to `to`.
+/// Creates a wall at a height over the square from `from` to `to`.
 fn wall(z: f32, from: f32, to: f32) -> [Corners; 2] {
     let [a, b, c, d] =
         [[from, from], [to, from], [to, to], [from, to]].map(|[x, y]| Vec3::new(x, y, z));
@@ -58,19 +59,22 @@ fn unit(x: f32, y: f32, z: f32) -> Aabb {
 }
 
 #[test]
-fn a_wall_hides_what_is_behind_it_and_a_gap_does_not() {
+fn wall_hides_box_behind_it_and_gap_shows_it() {
     let closed = wall(2.0, -20.0, 20.0);
-    let (cell, of) = (unit(0.0, 0.0, 0.0), unit(0.5, 0.0, 3.0));
-    let Some(Found::Hidden(proofs)) = ask(&closed, cell, of) else {
+    let (cell, target) = (unit(0.0, 0.0, 0.0), unit(0.5, 0.0, 3.0));
+    let Some(FromCellAnswer::Hidden(proofs)) = ask(&closed, cell, target) else {
         panic!("the wall hides the box")
     };
-    let apart = HiddenBox { bounds: of, proofs };
+    let apart = HiddenBox {
+        bounds: target,
+        proofs,
+    };
     assert_eq!(check(&closed, cell, apart.clone()), Ok(()));
-    // A larger box, a box on this side, proofs that are missing or too many, another wall.
+    // These are a larger box, a box on this side, missing proofs, additional proofs, and another wall.
     let larger = HiddenBox {
         bounds: Aabb {
-            min: of.min - 1.5,
-            max: of.max,
+            min: target.min - 1.5,
+            max: target.max,
         },
         ..apart.clone()
     };
@@ -91,51 +95,51 @@ fn a_wall_hides_what_is_behind_it_and_a_gap_does_not() {
             .contains("more proofs")
     );
     assert!(check(&wall(2.0, -20.0, 0.9), cell, apart).is_err());
-    // The wall ends beside the box.
+    // This wall ends next to the box.
     assert!(matches!(
-        ask(&wall(2.0, -20.0, 0.9), cell, of),
-        Some(Found::Visible(_))
+        ask(&wall(2.0, -20.0, 0.9), cell, target),
+        Some(FromCellAnswer::Visible(_))
     ));
 }
 
 #[test]
-fn boxes_with_a_common_face_are_not_asked_about() {
+fn boxes_with_common_face_are_not_queried() {
     let none: Vec<Corners> = wall(9.0, 0.0, 1.0).into();
     let cell = unit(0.0, 0.0, 0.0);
-    for of in [
+    for target in [
         unit(1.0, 0.0, 0.0),
         unit(1.0, 0.5, 0.5),
         unit(0.5, 0.0, 0.0),
         unit(0.0, 0.0, -1.0),
     ] {
-        assert!(ask(&none, cell, of).is_none(), "{of:?}");
+        assert!(ask(&none, cell, target).is_none(), "{target:?}");
         let empty = HiddenBox {
-            bounds: of,
+            bounds: target,
             proofs: Vec::new(),
         };
         assert!(
             check(&none, cell, empty)
                 .unwrap_err()
                 .contains("part of a face"),
-            "{of:?}"
+            "{target:?}"
         );
     }
-    // An edge, a corner: asked about, and seen past them.
-    for of in [
+    // Boxes that share an edge or a corner are queried, and are visible past it.
+    for target in [
         unit(1.0, 1.0, 0.0),
         unit(1.0, -1.0, 0.5),
         unit(1.0, 1.0, 1.0),
     ] {
         assert!(
-            matches!(ask(&none, cell, of), Some(Found::Visible(_))),
-            "{of:?}"
+            matches!(ask(&none, cell, target), Some(FromCellAnswer::Visible(_))),
+            "{target:?}"
         );
     }
 }
 
 #[test]
-fn boxes_that_touch_at_an_edge_are_hidden_by_a_wall_through_it() {
-    // A wall in the plane x + y = 2.
+fn wall_through_common_edge_hides_box() {
+    // The wall is in the plane x + y = 2.
     let v = Vec3::new;
     let [a, b, c, d] = [
         v(-9.0, 11.0, -9.0),
@@ -144,17 +148,24 @@ fn boxes_that_touch_at_an_edge_are_hidden_by_a_wall_through_it() {
         v(-9.0, 11.0, 9.0),
     ];
     let triangles: Vec<Corners> = vec![[a, b, c], [a, c, d]];
-    let (cell, of) = (unit(0.0, 0.0, 0.0), unit(1.0, 1.0, 0.0));
-    let Some(Found::Hidden(proofs)) = ask(&triangles, cell, of) else {
+    let (cell, target) = (unit(0.0, 0.0, 0.0), unit(1.0, 1.0, 0.0));
+    let Some(FromCellAnswer::Hidden(proofs)) = ask(&triangles, cell, target) else {
         panic!("a wall is between")
     };
     assert_eq!(
-        check(&triangles, cell, HiddenBox { bounds: of, proofs }),
+        check(
+            &triangles,
+            cell,
+            HiddenBox {
+                bounds: target,
+                proofs
+            }
+        ),
         Ok(())
     );
 }
 
-/// Whether a segment meets a triangle, in doubles; segments near edges may go either way.
+/// Returns true if a segment meets a triangle, in doubles. Segments near edges may go either way.
 fn blocked(triangles: &[Corners], a: Vec3, b: Vec3) -> bool {
     triangles.iter().any(|t| {
         let [p, q, r] = t.map(|v| v.as_dvec3());
@@ -171,7 +182,7 @@ fn blocked(triangles: &[Corners], a: Vec3, b: Vec3) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     #[test]
-    fn rays_do_not_refute_the_answer(seed in any::<u64>(), walls in 1usize..6) {
+    fn rays_do_not_refute_answer(seed in any::<u64>(), walls in 1usize..6) {
         let mut random = SplitMix64::new(seed);
         let mut unit_f = |least: f32, most: f32| least + (most - least) * random.unit_f32();
         let triangles: Vec<Corners> = (0..walls)
@@ -191,14 +202,14 @@ proptest! {
             !blocked(&triangles, a, b)
         });
         match ask(&triangles, cell, target) {
-            Some(Found::Hidden(proofs)) => {
+            Some(FromCellAnswer::Hidden(proofs)) => {
                 prop_assert!(!free);
                 prop_assert_eq!(
                     check(&triangles, cell, HiddenBox { bounds: target, proofs }),
                     Ok(())
                 );
             }
-            Some(Found::Visible(_)) => {}
+            Some(FromCellAnswer::Visible(_)) => {}
             other => prop_assert!(false, "{other:?}"),
         }
     }

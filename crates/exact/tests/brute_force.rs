@@ -1,5 +1,5 @@
-//! Random small scenes against many random segments: none may be free where the verdict is that nothing is
-//! seen.
+//! Tests of random small scenes against many random segments: no segment may be free if the verdict is
+//! hidden.
 
 mod common;
 
@@ -11,17 +11,18 @@ use sightline_certificate::proof::Step;
 use sightline_exact::{Polygon, Verdict, polygon};
 use sightline_geometry::predicates::orient3d_sign;
 
-/// Volumes and areas in scenes no larger than 16 are off by less than 1e-10 in doubles, and change by less
-/// when the ends of a segment move to where they would be without rounding. What is clear by this much is
-/// clear.
+/// The magnitude above which a volume or area in doubles certainly has the right sign.
+///
+/// In scenes no larger than 16, volumes and areas in doubles are off by less than 1e-10. They change by less
+/// if the ends of a segment move to their positions without rounding.
 const CLEAR: f64 = 1e-7;
 
-/// Six times the volume.
+/// Computes six times the volume.
 fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     (b - a).cross(c - a).dot(d - a)
 }
 
-/// Whether no point of the segment is in the triangle, for certain.
+/// Returns true if certainly no point of the segment is in the triangle.
 fn misses(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     let (x, y) = (volume(a, b, c, p), volume(a, b, c, q));
     if x.min(y) > CLEAR || x.max(y) < -CLEAR {
@@ -31,7 +32,7 @@ fn misses(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     sides.iter().any(|s| *s > CLEAR) && sides.iter().any(|s| *s < -CLEAR)
 }
 
-/// A triangle of a query, and the scene's triangles but for those that do not block.
+/// The two triangles of a query, and the scene's triangles except triangles that do not block.
 struct Pair {
     a: Corners,
     b: Corners,
@@ -41,9 +42,9 @@ struct Pair {
 impl Pair {
     fn new(triangles: &[Corners], a: Corners, b: Corners) -> Self {
         let doubles = |t: &Corners| t.map(|p| p.as_dvec3());
-        let in_plane = |of: &Corners, t: &Corners| {
+        let in_plane = |base: &Corners, t: &Corners| {
             t.iter()
-                .all(|p| orient3d_sign(of[0], of[1], of[2], *p) == Ordering::Equal)
+                .all(|p| orient3d_sign(base[0], base[1], base[2], *p) == Ordering::Equal)
         };
         let blockers = triangles
             .iter()
@@ -53,7 +54,9 @@ impl Pair {
         Self { a, b, blockers }
     }
 
-    /// Whether the segment from inside A to inside B is free and does not run in either's plane, for certain.
+    /// Returns true if the segment from inside A to inside B is certainly free.
+    ///
+    /// The segment must also certainly not run in the plane of A or B.
     fn free(&self, p: DVec3, q: DVec3) -> bool {
         let off = |t: &Corners, x: DVec3| {
             let [a, b, c] = t.map(|p| p.as_dvec3());
@@ -63,11 +66,11 @@ impl Pair {
     }
 }
 
-/// Somewhere in a triangle, not at its border.
+/// Returns a random point in a triangle, not on its border.
 fn within(random: &mut Random, t: &Corners) -> DVec3 {
     let [a, b, c] = t.map(|p| p.as_dvec3());
     loop {
-        // Sometimes close to a corner or an edge.
+        // Some points are close to a corner or an edge.
         let near = [1.0, 1.0, 1e-1, 1e-2][random.below(4)];
         let (x, y) = (random.unit() * near, random.unit());
         let w = [1.0 - x - y, x, y];
@@ -78,7 +81,7 @@ fn within(random: &mut Random, t: &Corners) -> DVec3 {
     }
 }
 
-/// Where the line meets a triangle, if that is not near the triangle's border.
+/// Returns the point at which the line meets a triangle, unless the point is near the triangle's border.
 fn met(t: &Corners, o: DVec3, d: DVec3) -> Option<DVec3> {
     let [a, b, c] = t.map(|p| p.as_dvec3());
     let n = (b - a).cross(c - a);
@@ -96,13 +99,13 @@ fn met(t: &Corners, o: DVec3, d: DVec3) -> Option<DVec3> {
     w.iter().all(|w| *w / area > 1e-6).then_some(p)
 }
 
-/// A free segment, if one is found.
+/// Searches for a free segment.
 fn search(random: &mut Random, pair: &Pair, tries: usize) -> Option<[DVec3; 2]> {
     for n in 0..tries {
         let (p, q) = if n % 2 == 0 || pair.blockers.is_empty() {
             (within(random, &pair.a), within(random, &pair.b))
         } else {
-            // Close by two edges of the scene: the way through a narrow gap.
+            // The line passes close to two edges of the scene, to find the way through a narrow gap.
             let mut beside = || {
                 let t = pair.blockers[random.below(pair.blockers.len())];
                 let k = random.below(3);
@@ -122,7 +125,7 @@ fn search(random: &mut Random, pair: &Pair, tries: usize) -> Option<[DVec3; 2]> 
     None
 }
 
-/// A triangle within `reach` of a place, on whole numbers or anywhere.
+/// Creates a triangle within `reach` of a point, with whole coordinates or any coordinates.
 fn triangle(random: &mut Random, whole: bool, around: DVec3, reach: f64) -> Corners {
     loop {
         let t = [0; 3].map(|_| {
@@ -139,7 +142,7 @@ fn triangle(random: &mut Random, whole: bool, around: DVec3, reach: f64) -> Corn
     }
 }
 
-/// A scene of which enough is hidden, with a wall across most of it.
+/// Creates a scene with a wall across most of it, so that enough is hidden.
 fn scene(random: &mut Random, whole: bool, reach: f64) -> World {
     let count = 5 + random.below(30);
     let mut triangles: Vec<Corners> = (0..count)
@@ -156,7 +159,7 @@ fn scene(random: &mut Random, whole: bool, reach: f64) -> World {
     World::new(triangles)
 }
 
-/// Small triangles on both sides of the wall, or any.
+/// Creates two small triangles on both sides of the wall, or any two triangles.
 fn ends(random: &mut Random, whole: bool, reach: f64) -> [Corners; 2] {
     let (up, size) = if random.below(4) > 0 {
         (reach - 1.0, 1.4)
@@ -167,7 +170,7 @@ fn ends(random: &mut Random, whole: bool, reach: f64) -> [Corners; 2] {
 }
 
 #[test]
-fn no_segment_is_free_where_nothing_is_seen() {
+fn no_segment_is_free_between_hidden_polygons() {
     let (mut seen, mut hidden, mut found, mut undecided) = (0, 0, 0, Vec::new());
     for seed in 0..600 {
         let mut random = Random::new(seed);
@@ -199,13 +202,14 @@ fn no_segment_is_free_where_nothing_is_seen() {
         seen + hidden,
         undecided[0]
     );
-    // Enough of both kinds, and segments that find most of what is seen: else the above would say little.
+    // Both kinds must be frequent, and segments must find most visible pairs; otherwise the test would show
+    // little.
     assert!(seen > 500 && hidden > 500, "{seen} seen, {hidden} hidden");
     assert!(found * 10 > seen * 9, "{found} of {seen} found");
 }
 
 #[test]
-fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
+fn checker_rejects_altered_witnesses_and_proofs() {
     let (mut witnesses, mut proofs) = (0, 0);
     for seed in 0..300 {
         let mut random = Random::new(1000 + seed);
@@ -219,14 +223,14 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
         let mut triangles = world.triangles.clone();
         match &verdict {
             Verdict::Visible(ends) => {
-                // A triangle across the middle of the segment.
+                // The added triangle lies across the middle of the segment.
                 let [p, q] = [0, 1].map(|i| polygon::rounded(&ends[i]));
                 let (u, v) = (q - p).normalize().any_orthonormal_pair();
                 let at = |s: f64, t: f64| ((p + q) / 2.0 + (u * s + v * t) * 1e-3).as_vec3();
                 triangles.push([at(1.0, 0.0), at(-1.0, 1.0), at(-1.0, -1.0)]);
                 assert!(check(&triangles, &x, &y, &verdict).is_err(), "{seed}");
                 triangles.pop();
-                // The ends are not where another polygon is.
+                // The ends are not inside the moved polygons.
                 let away = [Polygon::triangle(b.map(|p| p.as_dvec3() + DVec3::X * 100.0)).unwrap()];
                 assert!(check(&triangles, &x, &away, &verdict).is_err(), "{seed}");
                 assert!(check(&triangles, &away, &y, &verdict).is_err(), "{seed}");
@@ -245,8 +249,8 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
                     }
                     triangles[blocker as usize] = was;
                 }
-                // A step more, or one less, and the parts that are left do not come out even. (What leaves
-                // one part may have been idle.)
+                // With one step more, or one step less, the number of remaining parts is not zero. (A step
+                // that leaves one part may be unnecessary.)
                 for at in 0..proof.steps.len() {
                     let mut other = proof.clone();
                     other.steps.insert(at, Step::Unreal);
@@ -275,7 +279,7 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
 }
 
 #[test]
-fn segments_that_meet_a_triangle_do_not_pass_for_free() {
+fn misses_rejects_segments_that_meet_triangle() {
     let t = [DVec3::ZERO, DVec3::X, DVec3::Y];
     let ends = |x: f64, y: f64| [DVec3::new(x, y, -1.0), DVec3::new(x, y, 1.0)];
     for (x, y, free) in [
@@ -290,7 +294,7 @@ fn segments_that_meet_a_triangle_do_not_pass_for_free() {
         assert_eq!(misses(p, q, t), free, "{x} {y}");
         assert_eq!(misses(q, p, t), free, "{x} {y}");
     }
-    // In its plane, and short of it.
+    // The segments lie in the triangle's plane, end before it, and end on it.
     assert!(!misses(
         DVec3::new(-1.0, 0.2, 0.0),
         DVec3::new(1.0, 0.2, 0.0),

@@ -1,5 +1,5 @@
-//! What is hidden from several cells at once: that it is hidden from each, that nothing else changes, and
-//! what tampering does.
+//! Tests of cell groups: triangles hidden from the box are hidden from each cell, the other decisions stay
+//! the same, and the checker rejects altered claims.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -15,11 +15,12 @@ use sightline_certificate::checker::{CellClaims, CellRefusal, Claim, Triangles, 
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, codec};
 use sightline_exact::Cell;
 use sightline_exact::{
-    CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group,
+    CellDecisions, CellGroup, CellTask, ExactScene, GroupDecisions, QueryLimits, decide,
+    decide_group,
 };
 use sightline_scene::Aabb;
 
-/// The eight cells that fill a box, the first axis changing fastest.
+/// Creates the eight cells that fill a box, the first axis changing fastest.
 fn cells(Aabb { min, max }: Aabb) -> Vec<Aabb> {
     let middle = (min + max) * 0.5;
     let corner = |k: usize| Vec3::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32);
@@ -35,23 +36,23 @@ fn cells(Aabb { min, max }: Aabb) -> Vec<Aabb> {
 
 fn shared(
     scene: &ExactScene,
-    of: &[Aabb],
+    boxes: &[Aabb],
     seen: &[&[u32]],
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<u32>, GroupCertificate) {
-    let cells: Vec<Cell> = of
+    let cells: Vec<Cell> = boxes
         .iter()
         .map(|b| Cell::new(b.min, b.max).unwrap())
         .collect();
-    let limits = Limits::default();
-    let GroupDecided {
+    let limits = QueryLimits::default();
+    let GroupDecisions {
         hidden,
         shared,
         statistics,
     } = decide_group(&CellGroup {
         scene,
         cells: &cells,
-        places: None,
+        region: None,
         seen,
         listed: &[],
         limits,
@@ -71,15 +72,15 @@ fn shared(
     (hidden, shared)
 }
 
-fn below(scene: &ExactScene, cell: Aabb, seen: &[u32], above: &[u32]) -> Decided {
-    decide(&Task {
+fn below(scene: &ExactScene, cell: Aabb, seen: &[u32], above: &[u32]) -> CellDecisions {
+    decide(&CellTask {
         scene,
         cell: Cell::new(cell.min, cell.max).unwrap(),
-        places: None,
+        region: None,
         seen,
         above,
         listed: None,
-        limits: Limits::default(),
+        limits: QueryLimits::default(),
         seed: 7,
         keep: true,
         stop: &|| false,
@@ -90,7 +91,7 @@ fn below(scene: &ExactScene, cell: Aabb, seen: &[u32], above: &[u32]) -> Decided
 fn check(
     triangles: &[Corners],
     cell: Aabb,
-    d: &Decided,
+    d: &CellDecisions,
     certificate: &CellCertificate,
     above: Option<&GroupCertificate>,
 ) -> Result<u64, CellRefusal> {
@@ -109,7 +110,9 @@ fn check(
     check_cell(&index, &claims, &|_| true)
 }
 
-/// The first chamber's far part, from which half of what is behind the wall is hidden.
+/// Returns the chambers and the far part of the first chamber.
+///
+/// Half of the triangles behind the wall are hidden from this part.
 fn corner() -> (Vec<Corners>, Aabb) {
     (
         chambers().0,
@@ -118,11 +121,11 @@ fn corner() -> (Vec<Corners>, Aabb) {
 }
 
 #[test]
-fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
+fn triangles_hidden_from_box_are_hidden_from_each_cell() {
     let (triangles, around) = corner();
     let scene = exact_scene(&triangles);
     let cells = cells(around);
-    let alone: Vec<Decided> = cells
+    let alone: Vec<CellDecisions> = cells
         .iter()
         .map(|c| solve(&scene, *c, &[], &|| false))
         .collect();
@@ -154,7 +157,7 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
     let seen: Vec<&[u32]> = alone.iter().map(|d| d.visible.as_slice()).collect();
     let (again, _) = shared(&scene, &cells, &seen, &|| false);
     assert_eq!(again, hidden);
-    // Wrong guesses hide nothing less from the cells, and are refuted there.
+    // Wrong guesses do not reduce the triangles hidden from the cells, and the cells refute them.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let d = below(&scene, cells[0], &all, &hidden);
     assert_eq!(d.visible, alone[0].visible);
@@ -162,7 +165,7 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
 }
 
 #[test]
-fn what_there_was_no_time_for_is_left_to_the_cells() {
+fn stopped_group_leaves_triangles_to_cells() {
     let (triangles, around) = corner();
     let scene = exact_scene(&triangles);
     let cells = cells(around);
@@ -171,39 +174,39 @@ fn what_there_was_no_time_for_is_left_to_the_cells() {
     for most in [0, 5, 50, 500] {
         let asked = AtomicU32::new(0);
         let stop = || asked.fetch_add(1, Ordering::Relaxed) >= most;
-        let (hidden, of) = shared(&scene, &cells, &none, &stop);
+        let (hidden, owners) = shared(&scene, &cells, &none, &stop);
         assert!(
             hidden.iter().all(|t| whole.binary_search(t).is_ok()),
             "stopped after {most}"
         );
         let d = below(&scene, cells[3], &[], &hidden);
         assert!(d.undecided.is_empty());
-        check(&triangles, cells[3], &d, &d.certificate, Some(&of)).unwrap();
+        check(&triangles, cells[3], &d, &d.certificate, Some(&owners)).unwrap();
     }
 }
 
 #[test]
-fn tampered_claims_about_a_box_are_refused() {
+fn checker_rejects_tampered_box_claims() {
     let (triangles, around) = corner();
     let scene = exact_scene(&triangles);
     let cells = cells(around);
     let none: [&[u32]; 8] = [&[]; 8];
-    let (hidden, of) = shared(&scene, &cells, &none, &|| false);
+    let (hidden, owners) = shared(&scene, &cells, &none, &|| false);
     let cell = cells[0];
     let d = below(&scene, cell, &[], &hidden);
-    let ask = |of: &GroupCertificate| check(&triangles, cell, &d, &d.certificate, Some(of));
-    ask(&of).unwrap();
-    // Nothing named.
+    let ask = |group: &GroupCertificate| check(&triangles, cell, &d, &d.certificate, Some(group));
+    ask(&owners).unwrap();
+    // The cell names no group.
     assert!(matches!(
         check(&triangles, cell, &d, &d.certificate, None),
         Err(CellRefusal::Account(..))
     ));
     let with = |change: &dyn Fn(&mut GroupCertificate)| {
-        let mut changed = of.clone();
+        let mut changed = owners.clone();
         change(&mut changed);
         ask(&changed)
     };
-    // A box that the cell is not in, none at all, one that is larger than what was proved.
+    // These are a box that does not contain the cell, no valid box, and a box larger than the proved box.
     for (axis, greatest) in cell.max.to_array().into_iter().enumerate() {
         assert_eq!(
             with(&|s| s.bounds.min[axis] = s.bounds.min[axis].next_up()),
@@ -220,7 +223,7 @@ fn tampered_claims_about_a_box_are_refused() {
     let refused = |r: Result<u64, CellRefusal>| matches!(r, Err(CellRefusal::Hidden { .. }));
     assert!(refused(with(&|s| s.bounds.min = Vec3::new(0.5, 0.25, 0.5))));
     assert!(refused(with(&|s| s.hidden[0].proofs.clear())));
-    // What surfaces hide is said for a cell, not for a box.
+    // Claims about surfaces are valid only for a cell, not for a box.
     let claimed = |target: Target| {
         with(&move |s| {
             let triangles = std::mem::take(&mut s.hidden[0].triangles);
@@ -232,7 +235,7 @@ fn tampered_claims_about_a_box_are_refused() {
         })
     };
     assert!(refused(claimed(Target::Surfaces)) && refused(claimed(Target::Half)));
-    // What is seen from the cell.
+    // A triangle visible from the cell is claimed to be hidden.
     let seen = d.certificate.seen[0].0;
     assert!(matches!(
         with(&|s| s.hidden[0].triangles.push(seen)),
@@ -243,23 +246,24 @@ fn tampered_claims_about_a_box_are_refused() {
         with(&|s| s.hidden[0].triangles.push(beyond)),
         Err(CellRefusal::Account(..))
     ));
-    // Kept with the cell for others, it is checked with the cell, whatever the cell itself names.
+    // If the cell stores a group for other cells, the checker checks the group with the cell, regardless of
+    // the group that the cell itself names.
     let mut own = d.certificate.clone();
-    let mut kept = of.clone();
+    let mut kept = owners.clone();
     kept.hidden[0].proofs.clear();
     (own.shared, own.above) = (Some(kept), Some(0));
-    assert!(refused(check(&triangles, cell, &d, &own, Some(&of))));
+    assert!(refused(check(&triangles, cell, &d, &own, Some(&owners))));
     let visible = set(&d);
     let claims = CellClaims {
         cell,
         visible: &visible,
         undecided: &[],
         certificate: &own,
-        above: Some(&of),
+        above: Some(&owners),
     };
     let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
     check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
-    // Named and not there, or there and not named.
+    // A certificate names a group that is missing, or a group is present that no certificate names.
     let with = |certificate: &CellCertificate, above| {
         let claims = CellClaims {
             cell,
@@ -271,11 +275,11 @@ fn tampered_claims_about_a_box_are_refused() {
         check_cell(&Triangles::new(&triangles), &claims, &|_| true)
     };
     assert_eq!(with(&own, None), Err(CellRefusal::Above));
-    assert_eq!(with(&d.certificate, Some(&of)), Err(CellRefusal::Above));
+    assert_eq!(with(&d.certificate, Some(&owners)), Err(CellRefusal::Above));
 }
 
 #[test]
-fn a_certificate_without_a_group_is_written_as_it_always_was() {
+fn certificate_without_group_keeps_its_bytes() {
     let (triangles, cell) = chambers();
     let d = solve(&exact_scene(&triangles), cell, &[], &|| false);
     let n = triangles.len() as u32;
@@ -295,10 +299,11 @@ fn a_certificate_without_a_group_is_written_as_it_always_was() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
-    /// On a coarse grid nearly everything touches or lies in one plane with something, the faces of box and
-    /// cells included.
+    /// On a coarse grid, nearly every triangle touches another or lies in one plane with it.
+    ///
+    /// The same holds for the faces of the box and the cells.
     #[test]
-    fn any_cells_of_a_box_see_what_they_see_alone(
+    fn cells_of_group_see_same_triangles_as_single_cells(
         triangles in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-4i8..5)), 1..14),
         corner in prop::array::uniform3(-3i8..4),
         size in prop::array::uniform3(1i8..3),

@@ -1,5 +1,5 @@
-//! Whole view cells decided: what the checker makes of the certificate, what rays find, what tampering does,
-//! what stopping leaves.
+//! Tests of decided view cells: the checker accepts the certificate, rays do not refute it, the checker
+//! rejects altered certificates, and a stopped search leaves triangles undecided.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -13,17 +13,17 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_certificate::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_certificate::{CellCertificate, Target, Witness, codec};
-use sightline_exact::{Cell, Found, Sources, from_cell};
-use sightline_exact::{Cost, Decided, Limits, Polygon};
+use sightline_exact::{Cell, FromCellAnswer, Sources, from_cell};
+use sightline_exact::{CellDecisions, Polygon, QueryCost, QueryLimits};
 use sightline_scene::Aabb;
 
-/// A scene, a cell, what was decided about it, and its certificate without compression.
-type Case = (Vec<Corners>, Aabb, Decided, Vec<u8>);
+/// A scene, a cell, the decisions about the cell, and the uncompressed certificate of the cell.
+type Case = (Vec<Corners>, Aabb, CellDecisions, Vec<u8>);
 
 fn check(
     triangles: &[Corners],
     cell: Aabb,
-    d: &Decided,
+    d: &CellDecisions,
     certificate: &CellCertificate,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
@@ -38,7 +38,7 @@ fn check(
 }
 
 #[test]
-fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
+fn checker_accepts_all_claims_about_chambers() {
     let (triangles, cell) = chambers();
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
@@ -55,13 +55,13 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
         "nothing outside is seen"
     );
     assert!(check(&triangles, cell, &d, &d.certificate).unwrap() > 0);
-    // Guesses change nothing but what is found by rays; wrong ones are refuted.
+    // Guesses affect only the triangles that rays show; the search refutes wrong guesses.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let guessed = solve(&scene, cell, &all, &|| false);
     assert_eq!(guessed.visible, d.visible);
     assert_eq!(guessed.statistics.refuted, guessed.statistics.hidden);
     check(&triangles, cell, &guessed, &guessed.certificate).unwrap();
-    // The same again is the same to the last byte.
+    // A second run returns the same bytes.
     let again = solve(&scene, cell, &all, &|| false);
     assert_eq!(
         codec::encode(&again.certificate).unwrap(),
@@ -76,7 +76,7 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
 }
 
 #[test]
-fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
+fn stopped_search_leaves_rest_undecided() {
     let (triangles, cell) = chambers();
     let scene = exact_scene(&triangles);
     let whole = solve(&scene, cell, &[], &|| false);
@@ -106,7 +106,7 @@ fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
 }
 
 #[test]
-fn tampered_claims_are_refused() {
+fn checker_rejects_tampered_claims() {
     let (triangles, cell) = chambers();
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
@@ -126,7 +126,7 @@ fn tampered_claims_are_refused() {
         )
     };
     ask(cell, &visible, &[], &d.certificate).unwrap();
-    // Hiding what is seen, and showing what is hidden.
+    // The first sets hide a visible triangle and show a hidden one.
     let without: Vec<u32> = visible
         .iter()
         .copied()
@@ -156,15 +156,16 @@ fn tampered_claims_are_refused() {
         ask(cell, &visible, &[], &both),
         Err(CellRefusal::Witness(..))
     ));
-    // A cell that is larger sees more: some proof must fail, or some witness begin outside.
+    // A larger cell sees more, so some proof must fail or some witness must begin outside.
     let larger = Aabb::new(Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0));
     assert!(ask(larger, &visible, &[], &d.certificate).is_err());
-    // A proof for another box, a box that is moved, a proof too few.
+    // These are a proof for another box, a moved box, and a missing proof.
     let mut polygons = 0;
     for at in 0..d.certificate.hidden.len() {
         let mut e = d.certificate.clone();
         if e.hidden[at].target == Target::Surfaces {
-            // What another triangle's surface hides, and what is not all on the hidden side.
+            // One triangle is hidden by another triangle's surface, and one is not entirely on the hidden
+            // side.
             for other in 0..triangles.len() as u32 {
                 if !e.hidden[at].triangles.contains(&other)
                     && visible.binary_search(&other).is_err()
@@ -215,7 +216,7 @@ fn tampered_claims_are_refused() {
             assert!(ask(cell, &visible, &[], &e).is_err());
         }
         if let Target::Polygon(corners) = &d.certificate.hidden[at].target {
-            // A polygon that leaves a triangle out, one that is not flat, and one that is not convex.
+            // These polygons do not cover a triangle, are not flat, or are not convex.
             let middle = corners.iter().sum::<Vec3>() / corners.len() as f32;
             let smaller: Vec<Vec3> = corners.iter().map(|c| (*c + middle) * 0.5).collect();
             let mut bent = corners.to_vec();
@@ -238,7 +239,7 @@ fn tampered_claims_are_refused() {
         polygons > 0,
         "no triangles were hidden together in a polygon"
     );
-    // A witness that goes on through a wall.
+    // This witness continues through a wall.
     let (at, id, [p, q]) = d
         .certificate
         .seen
@@ -257,7 +258,7 @@ fn tampered_claims_are_refused() {
     assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == id));
 }
 
-/// The twelve triangles of a box, turned outwards: two a face, axis by axis, the lesser face first.
+/// Creates the twelve outward triangles of a box: two per face, axis by axis, the lower face first.
 fn solid(min: Vec3, max: Vec3) -> Vec<Corners> {
     let triangle = |i: usize| {
         let (axis, up) = (i / 4, i / 2 % 2 == 1);
@@ -282,7 +283,7 @@ fn solid(min: Vec3, max: Vec3) -> Vec<Corners> {
 }
 
 #[test]
-fn what_faces_away_is_hidden_without_a_query() {
+fn surfaces_hide_triangles_that_face_away() {
     let mut triangles = solid(Vec3::ZERO, Vec3::ONE);
     triangles.extend(solid(Vec3::splat(2.0), Vec3::splat(4.0)));
     let cell = Aabb::new(Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75));
@@ -293,13 +294,14 @@ fn what_faces_away_is_hidden_without_a_query() {
         (16, true)
     );
     check(&triangles, cell, &d, &d.certificate).unwrap();
-    // Inside of a box nothing of it is hidden, and all of the other.
+    // From the inside of a box, all triangles of that box are visible, and all triangles of the other box are
+    // hidden.
     let inside = Aabb::new(Vec3::splat(0.25), Vec3::splat(0.75));
     let d = solve(&scene, inside, &[], &|| false);
     assert_eq!(d.visible, (0..12).collect::<Vec<u32>>());
     check(&triangles, inside, &d, &d.certificate).unwrap();
-    // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the
-    // surface.
+    // The inner side is visible through a hole. Triangles that no line through the hole reaches are still
+    // hidden by the surface.
     triangles.remove(1);
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
@@ -315,7 +317,7 @@ fn what_faces_away_is_hidden_without_a_query() {
     check(&triangles, beside, &d, &d.certificate).unwrap();
 }
 
-/// The chambers, decided once.
+/// Returns the chambers with their decisions, computed once.
 fn decided() -> &'static Case {
     static ONCE: std::sync::OnceLock<Case> = std::sync::OnceLock::new();
     ONCE.get_or_init(|| {
@@ -333,10 +335,11 @@ fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// On a coarse grid nearly everything touches, overlaps or lies in one plane with something, the cell's
-    /// faces included.
+    /// On a coarse grid, nearly every triangle touches or overlaps another or lies in one plane with it.
+    ///
+    /// The same holds for the faces of the cell.
     #[test]
-    fn any_cell_is_decided_with_a_certificate_that_holds_and_rays_do_not_refute(
+    fn checker_accepts_any_cell_and_rays_do_not_refute_it(
         triangles in prop::collection::vec(prop::array::uniform3(grid_point(4)), 1..14),
         corner in grid_point(3),
         size in prop::array::uniform3(1i8..3),
@@ -351,8 +354,8 @@ proptest! {
         if let Err(e) = check(&triangles, cell, &d, &d.certificate) {
             return Err(TestCaseError::fail(e.to_string()));
         }
-        // Rays from inside the cell, in doubles: a hit well inside a triangle and clear of all edges is one
-        // it is seen by.
+        // Rays from inside the cell, in doubles: if a hit is well inside a triangle and clear of all edges,
+        // the cell sees the triangle.
         let mut state = seed;
         let mut unit = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -390,9 +393,10 @@ proptest! {
         }
     }
 
-    /// Boxes that overlap, touch and have holes: what surfaces are said to hide is what queries find hidden.
+    /// Boxes that overlap, touch and have holes: queries confirm that every triangle hidden by a surface is
+    /// hidden.
     #[test]
-    fn surfaces_hide_nothing_that_queries_see(
+    fn queries_confirm_triangles_hidden_by_surfaces(
         boxes in prop::collection::vec((grid_point(3), prop::array::uniform3(1i8..4)), 1..5),
         missing in prop::collection::btree_set(0usize..40, 0..4),
         corner in grid_point(5),
@@ -406,7 +410,7 @@ proptest! {
             !missing.contains(&(number - 1))
         });
         prop_assume!(!triangles.is_empty());
-        // Off the grid, so that some cells touch nothing.
+        // The cell is off the grid, so that some cells touch no triangle.
         let lo = corner + Vec3::splat(0.25);
         let cell = Aabb::new(lo, lo + Vec3::from(size.map(f32::from)) - Vec3::splat(0.5));
         let scene = exact_scene(&triangles);
@@ -419,20 +423,20 @@ proptest! {
         for h in d.certificate.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
             for id in &h.triangles {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
-                let limits = Limits::default();
-                let goal = (&[target][..], None);
+                let limits = QueryLimits::default();
                 let sources = Sources::new(view, None);
-                let found =
-                    from_cell(scene.occluders(), &sources, goal, (&limits, &|| false), &mut Cost::default());
-                prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
+                let (stop, mut cost) = (|| false, QueryCost::default());
+                let occluders = scene.occluders();
+                let found = from_cell(occluders, &sources, &[target], None, &limits, &stop, &mut cost);
+                prop_assert!(matches!(found, FromCellAnswer::Hidden(_)), "triangle {} is seen", id);
             }
         }
     }
 
-    /// Whatever is done to the certificate, a set that lacks something visible, or has something hidden, is
-    /// not accepted.
+    /// The checker accepts no altered certificate for a set that lacks a visible triangle or contains a
+    /// hidden one.
     #[test]
-    fn no_altered_certificate_makes_a_wrong_set_right(
+    fn checker_rejects_wrong_set_with_any_certificate(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         moved in any::<prop::sample::Index>(),
     ) {
@@ -445,7 +449,7 @@ proptest! {
             let id = moved.index(triangles.len()) as u32;
             let mut visible = d.visible.clone();
             match visible.binary_search(&id) {
-                // Said to be hidden, with the others of the first group.
+                // The triangle is claimed to be hidden, with the other triangles of the first group.
                 Ok(at) => {
                     visible.remove(at);
                     certificate.seen.retain(|(t, _)| *t != id);
@@ -454,7 +458,7 @@ proptest! {
                         group.triangles.sort_unstable();
                     }
                 }
-                // Said to be visible, with the witness of another.
+                // The triangle is claimed to be visible, with the witness of another triangle.
                 Err(at) => {
                     visible.insert(at, id);
                     certificate.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != id));
@@ -476,7 +480,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_as_a_certificate_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn decoder_handles_any_bytes(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         sightline_certificate::fuzzing::certificate(&bytes);
     }
 }

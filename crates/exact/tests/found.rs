@@ -1,4 +1,4 @@
-//! Cases that random tests found once, as small as they could be made.
+//! Cases that random tests found once, reduced to a minimum.
 
 mod common;
 
@@ -11,9 +11,11 @@ struct Case {
     triangles: &'static [[[f32; 3]; 3]],
 }
 
-/// Where the first has one triangle, it meets the segments between all pairs of corners of A and B, so that
-/// all are blocked. In some the polygons touch or have an edge on the line of one of the triangle's; in the
-/// first nothing touches.
+/// Cases in which A and B do not see each other.
+///
+/// If a case has one triangle, the triangle blocks the segments between all pairs of corners of A and B. In
+/// some cases the polygons touch or have an edge on the line of one of the triangle's edges; in the first
+/// case no parts touch.
 const HIDDEN: &[Case] = &[
     Case {
         a: &[[5.0, 9.0, 7.0], [-6.0, -8.0, -10.0], [7.0, 1.0, 14.0]],
@@ -162,7 +164,7 @@ const HIDDEN: &[Case] = &[
     },
 ];
 
-/// The triangle is far from the polygons, but its plane holds the middle of both.
+/// A case in which the triangle is far from the polygons, but its plane contains the middle of both.
 const VISIBLE: Case = Case {
     a: &[
         [0.0, 1.0, 0.0],
@@ -175,7 +177,7 @@ const VISIBLE: Case = Case {
 };
 
 impl Case {
-    /// Seen from A, and from B.
+    /// Returns the results of the queries from A and from B.
     fn verdicts(&self) -> [Result<bool, String>; 2] {
         let world = World::new(self.triangles.iter().map(|t| t.map(Vec3::from)).collect());
         let [a, b] =
@@ -185,7 +187,7 @@ impl Case {
 }
 
 #[test]
-fn what_is_hidden_is_proved_to_be() {
+fn queries_prove_hidden_cases() {
     let wrong: Vec<_> = HIDDEN
         .iter()
         .enumerate()
@@ -201,7 +203,7 @@ fn what_is_hidden_is_proved_to_be() {
 }
 
 #[test]
-fn a_witness_in_the_plane_of_a_triangle_that_it_does_not_meet_is_accepted() {
+fn checker_accepts_witness_in_plane_of_missed_triangle() {
     assert_eq!(VISIBLE.verdicts(), [Ok(true), Ok(true)]);
 }
 
@@ -222,7 +224,7 @@ fn polygons_of_many_corners_are_decided() {
         assert!(!World::new(vec![wall(50.0)]).mutual(&a, &b));
         assert!(World::new(vec![aside]).mutual(&a, &b));
     }
-    // The plane of each goes through the other.
+    // The plane of each polygon goes through the other polygon.
     let (a, b) = (parabola(0.0, 1.0), parabola(2.0, -1.0));
     assert!(World::new(vec![aside]).mutual(&a, &b));
 }

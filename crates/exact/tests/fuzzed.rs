@@ -1,13 +1,13 @@
 //! The body of the fuzz target `query` on random bytes, and on inputs that once crashed it: the checker
-//! accepts every answer. `SIGHTLINE_FUZZ_CASES` is the number of cases of each kind, `SIGHTLINE_FUZZ_SEED`
-//! the first seed.
+//! accepts every answer. `SIGHTLINE_FUZZ_CASES` is the number of cases of each kind (default 200), and
+//! `SIGHTLINE_FUZZ_SEED` the first seed (default 1).
 
 #![allow(clippy::panic, clippy::print_stdout, reason = "tests")]
 
 use sightline_exact::fuzzing::query;
 use sightline_numbers::random::SplitMix64;
 
-/// `count` random bytes from a seed.
+/// Returns `count` random bytes from a seed.
 fn bytes(seed: u64, count: usize) -> Vec<u8> {
     let mut stream = SplitMix64::new(seed);
     (0..count.div_ceil(8))
@@ -23,8 +23,9 @@ fn variable(name: &str, otherwise: u64) -> u64 {
     })
 }
 
-/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line
-/// and in one place.
+/// Runs the fuzz target on random bytes of one kind.
+///
+/// Coordinates on a grid have few values, so that many points are in one plane, on one line or in one place.
 fn run(kind: u8) {
     let (cases, first) = (
         variable("SIGHTLINE_FUZZ_CASES", 200),
@@ -37,13 +38,13 @@ fn run(kind: u8) {
         raw[0] = kind;
         let mask = [0x0f, 0x1f, 0x3f, 0xff][(seed / 4 % 4) as usize];
         if kind != 0 {
-            // Sign and magnitude of few bits.
+            // The bytes have a sign and a magnitude of few bits.
             raw[1..]
                 .iter_mut()
                 .for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
             if seed % 2 == 0 {
-                // One small triangle on either side, and all others large and between them, where they hide
-                // something.
+                // One small triangle is on either side. All others are large and between them, so that they
+                // hide part of the lines.
                 let [small, large] = [3i8, 120]
                     .map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
                 for (i, triangle) in raw[1..].chunks_mut(9).enumerate() {
@@ -68,7 +69,7 @@ fn run(kind: u8) {
         "kind {kind}: {} hidden, {} visible, {} neither",
         found[0], found[1], found[2]
     );
-    // Of any floats few hide anything.
+    // With arbitrary floats, few scenes hide a triangle.
     let hidden = kind == 0 || found[0] > cases / 20;
     assert!(
         hidden && found[1] > cases / 20,
@@ -77,7 +78,7 @@ fn run(kind: u8) {
 }
 
 #[test]
-fn inputs_that_once_crashed_do_not() {
+fn query_survives_former_crashes() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
     let entries = std::fs::read_dir(crashes).unwrap_or_else(|e| panic!("{e}"));
     let mut kept: Vec<_> = entries
@@ -91,16 +92,16 @@ fn inputs_that_once_crashed_do_not() {
 }
 
 #[test]
-fn any_floats() {
+fn checker_accepts_answers_for_any_floats() {
     run(0);
 }
 
 #[test]
-fn points_of_a_grid() {
+fn checker_accepts_answers_for_grid_points() {
     run(1);
 }
 
 #[test]
-fn points_on_scales_of_their_own() {
+fn checker_accepts_answers_for_scaled_points() {
     run(2);
 }

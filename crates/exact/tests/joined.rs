@@ -11,10 +11,12 @@ mod common;
 use common::{Draft, exact};
 use sightline_exact::{Polygon, Verdict};
 
-/// A sphere between two squares so much smaller that all lines pass its middle: facets are wider than the
-/// squares at first, then far smaller, and none of these blocks much by itself.
+/// Places a sphere between two squares that are so much smaller that all lines pass its middle.
+///
+/// Facets are wider than the squares at first, then far smaller, and none of the small facets blocks much by
+/// itself.
 #[test]
-fn a_finer_sphere_takes_no_more_steps() {
+fn proof_of_finer_sphere_needs_no_more_steps() {
     for place in exact() {
         let steps: Vec<usize> = (0..4)
             .map(|levels| {
@@ -28,7 +30,7 @@ fn a_finer_sphere_takes_no_more_steps() {
                 }
             })
             .collect();
-        // Of 1280 facets in the end, of which half face either way.
+        // The finest sphere has 1280 facets, half of which face in either direction.
         assert!(steps.iter().all(|s| *s <= 4), "{steps:?}");
     }
 }

@@ -1,5 +1,5 @@
-//! Cells among triangles of all kinds: the certificate holds, rays do not refute the set, see-through
-//! triangles hide nothing and occluder-only ones show nothing.
+//! Tests of cells among triangles of all kinds: the certificate holds, rays do not refute the set,
+//! see-through triangles do not hide others, and occluder-only triangles do not show others.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -13,11 +13,11 @@ use sightline_certificate::Target;
 use sightline_certificate::checker::{
     CellClaims, CellRefusal, Kinds as Flags, Triangles, check_cell,
 };
-use sightline_exact::{Decided, ExactScene};
-use sightline_scene::kinds::{Kind, Kinds};
+use sightline_exact::{CellDecisions, ExactScene};
+use sightline_scene::kinds::{Kinds, SurfaceKind};
 use sightline_scene::{Aabb, Object, Scene, Triangle};
 
-fn exact_scene(triangles: &[Corners], kinds: &[Kind]) -> ExactScene {
+fn exact_scene(triangles: &[Corners], kinds: &[SurfaceKind]) -> ExactScene {
     let objects = vec![Object {
         name: "test".into(),
         first: 0,
@@ -34,15 +34,20 @@ fn exact_scene(triangles: &[Corners], kinds: &[Kind]) -> ExactScene {
     .unwrap()
 }
 
-fn decided(triangles: &[Corners], kinds: &[Kind], cell: Aabb, seen: &[u32]) -> Decided {
+fn decided(
+    triangles: &[Corners],
+    kinds: &[SurfaceKind],
+    cell: Aabb,
+    seen: &[u32],
+) -> CellDecisions {
     solve(&exact_scene(triangles, kinds), cell, seen, &|| false)
 }
 
 fn check(
     triangles: &[Corners],
-    kinds: &[Kind],
+    kinds: &[SurfaceKind],
     cell: Aabb,
-    d: &Decided,
+    d: &CellDecisions,
 ) -> Result<u64, CellRefusal> {
     let (blocks, shows): (Vec<bool>, Vec<bool>) =
         kinds.iter().map(|k| (k.blocks(), k.shows())).unzip();
@@ -64,7 +69,7 @@ fn check(
     check_cell(&scene, &claims, &|_| true)
 }
 
-/// A large square at a distance in front of the cell, as two triangles.
+/// Creates a large square at a distance in front of the cell, as two triangles.
 fn wall(z: f32) -> [Corners; 2] {
     let [a, b, c, d] =
         [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, z));
@@ -74,11 +79,11 @@ fn wall(z: f32) -> [Corners; 2] {
 const CELL: Aabb = Aabb::new(Vec3::ZERO, Vec3::splat(0.5));
 
 #[test]
-fn a_line_passes_panes_and_ends_at_the_first_wall() {
-    use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
-    // Walls at 1, 2 and 3, two triangles each.
+fn line_passes_panes_and_ends_at_first_wall() {
+    use SurfaceKind::{Moving, OccluderOnly, Opaque, SeeThrough};
+    // The walls are at 1, 2 and 3, with two triangles each.
     let triangles = [wall(1.0), wall(2.0), wall(3.0)].concat();
-    let cases: [([Kind; 3], &[u32]); 8] = [
+    let cases: [([SurfaceKind; 3], &[u32]); 8] = [
         ([Opaque, Opaque, Opaque], &[0, 1]),
         ([SeeThrough, Opaque, Opaque], &[0, 1, 2, 3]),
         ([SeeThrough, SeeThrough, Opaque], &[0, 1, 2, 3, 4, 5]),
@@ -89,7 +94,7 @@ fn a_line_passes_panes_and_ends_at_the_first_wall() {
         ([Moving, SeeThrough, Opaque], &[2, 3, 4, 5]),
     ];
     for (walls, expected) in cases {
-        let kinds: Vec<Kind> = walls.iter().flat_map(|k| [*k; 2]).collect();
+        let kinds: Vec<SurfaceKind> = walls.iter().flat_map(|k| [*k; 2]).collect();
         let d = decided(&triangles, &kinds, CELL, &[]);
         assert_eq!(
             (d.visible.as_slice(), d.undecided.len()),
@@ -101,15 +106,15 @@ fn a_line_passes_panes_and_ends_at_the_first_wall() {
 }
 
 #[test]
-fn panes_in_the_plane_of_a_wall_that_touch_the_cell_or_surround_it_are_seen() {
-    use Kind::{Opaque, SeeThrough};
-    // A pane in the wall's plane is seen with the wall; behind both nothing is.
+fn cell_sees_panes_in_plane_of_wall_and_through_cell() {
+    use SurfaceKind::{Opaque, SeeThrough};
+    // A pane in the wall's plane is visible with the wall; triangles behind both are hidden.
     let triangles = [wall(1.0), wall(1.0), wall(2.0)].concat();
     let kinds = [Opaque, Opaque, SeeThrough, SeeThrough, Opaque, Opaque];
     let d = decided(&triangles, &kinds, CELL, &[]);
     assert_eq!(d.visible, [0, 1, 2, 3]);
     check(&triangles, &kinds, CELL, &d).unwrap();
-    // A pane through the cell meets it and hides nothing.
+    // A pane through the cell meets the cell and does not hide other triangles.
     let triangles = [wall(0.25), wall(2.0)].concat();
     let kinds = [SeeThrough, SeeThrough, Opaque, Opaque];
     let d = decided(&triangles, &kinds, CELL, &[]);
@@ -118,8 +123,8 @@ fn panes_in_the_plane_of_a_wall_that_touch_the_cell_or_surround_it_are_seen() {
 }
 
 #[test]
-fn a_changed_kind_is_refused() {
-    use Kind::{OccluderOnly, Opaque, SeeThrough};
+fn checker_rejects_changed_kind() {
+    use SurfaceKind::{OccluderOnly, Opaque, SeeThrough};
     let triangles = [wall(1.0), wall(2.0)].concat();
     let opaque = [Opaque; 4];
     let d = decided(&triangles, &opaque, CELL, &[]);
@@ -136,13 +141,13 @@ fn a_changed_kind_is_refused() {
         check(&triangles, &proxy, CELL, &d),
         Err(CellRefusal::Account(0, _))
     ));
-    // A witness meets a wall that blocks after all.
+    // A witness meets a wall that now blocks.
     let d = decided(&triangles, &glass, CELL, &[]);
     assert!(matches!(
         check(&triangles, &opaque, CELL, &d),
         Err(CellRefusal::Witness(2..=3, _))
     ));
-    // A see-through triangle belongs to no closed surface, so none can hide it.
+    // A see-through triangle belongs to no closed surface, so no surface can hide it.
     let mut forged = decided(&triangles, &opaque, CELL, &[]);
     forged.certificate.hidden.iter_mut().for_each(|g| {
         g.target = Target::Surfaces;
@@ -155,12 +160,12 @@ fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
     prop::array::uniform3(-reach..=reach).prop_map(|p| Vec3::from(p.map(f32::from)))
 }
 
-fn kind() -> impl Strategy<Value = Kind> {
+fn kind() -> impl Strategy<Value = SurfaceKind> {
     prop_oneof![
-        4 => Just(Kind::Opaque),
-        3 => Just(Kind::SeeThrough),
-        1 => Just(Kind::OccluderOnly),
-        1 => Just(Kind::Moving)
+        4 => Just(SurfaceKind::Opaque),
+        3 => Just(SurfaceKind::SeeThrough),
+        1 => Just(SurfaceKind::OccluderOnly),
+        1 => Just(SurfaceKind::Moving)
     ]
 }
 
@@ -168,14 +173,14 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
 
     #[test]
-    fn any_cell_is_decided_with_a_certificate_that_holds_and_rays_do_not_refute(
+    fn checker_accepts_any_cell_and_rays_do_not_refute_it(
         triangles in prop::collection::vec((prop::array::uniform3(grid_point(4)), kind()), 1..14),
         corner in grid_point(3),
         size in prop::array::uniform3(1i8..3),
         guess in any::<u16>(),
         seed in any::<u64>(),
     ) {
-        let (triangles, kinds): (Vec<Corners>, Vec<Kind>) = triangles.into_iter().unzip();
+        let (triangles, kinds): (Vec<Corners>, Vec<SurfaceKind>) = triangles.into_iter().unzip();
         let cell = Aabb::new(corner, corner + Vec3::from(size.map(f32::from)));
         // Sampling shows only triangles that can be in a set.
         let seen: Vec<u32> = (0..triangles.len() as u32)
@@ -187,16 +192,17 @@ proptest! {
         if let Err(e) = check(&triangles, &kinds, cell, &d) {
             return Err(TestCaseError::fail(e.to_string()));
         }
-        // See-through never hides and occluder-only never reveals.
-        let as_kind = |from: Kind, to: Kind| -> Vec<Kind> {
+        // See-through triangles never hide others, and occluder-only triangles never reveal others.
+        let as_kind = |from: SurfaceKind, to: SurfaceKind| -> Vec<SurfaceKind> {
             kinds.iter().map(|k| if *k == from { to } else { *k }).collect()
         };
-        let opaque = decided(&triangles, &as_kind(Kind::SeeThrough, Kind::Opaque), cell, &[]);
+        let opaque = decided(&triangles, &as_kind(SurfaceKind::SeeThrough, SurfaceKind::Opaque), cell, &[]);
         prop_assert!(opaque.visible.iter().all(|t| d.visible.contains(t)), "opaque {:?}", opaque.visible);
-        let without = decided(&triangles, &as_kind(Kind::OccluderOnly, Kind::Moving), cell, &[]);
+        let passable = as_kind(SurfaceKind::OccluderOnly, SurfaceKind::Moving);
+        let without = decided(&triangles, &passable, cell, &[]);
         prop_assert!(d.visible.iter().all(|t| without.visible.contains(t)), "without {:?}", without.visible);
-        // Rays from inside the cell, in doubles: everything that shows up to the first blocking triangle is
-        // seen, where the ray is clear of all edges.
+        // Rays from inside the cell, in doubles: if a ray is clear of all edges, the cell sees every showing
+        // triangle up to the first blocking triangle.
         let mut state = seed;
         let mut unit = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -1,4 +1,4 @@
-//! Fences, touching polygons and degenerate triangles whose visibility is known by construction.
+//! Tests of fences, touching polygons and degenerate triangles whose visibility is known by construction.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -9,7 +9,7 @@ use common::{Draft, Place, exact, ordered, permutations, rounded};
 use glam::{DVec3, Vec3};
 use sightline_exact::Polygon;
 
-/// Pickets in a plane z, `width` wide about k + `middle` for whole k from −20 to 20.
+/// Adds pickets in a plane z, `width` wide around k + `middle` for whole k from −20 to 20.
 fn fence(draft: &mut Draft<'_>, z: f64, middle: f64, width: f64) {
     for k in -20..=20 {
         let x = f64::from(k) + middle;
@@ -18,14 +18,14 @@ fn fence(draft: &mut Draft<'_>, z: f64, middle: f64, width: f64) {
 }
 
 #[test]
-fn fences_are_seen_through_unless_they_close_each_others_gaps() {
+fn fences_hide_only_if_they_close_each_others_gaps() {
     for place in exact().iter().filter(|p| p.scale >= 1.0) {
         let (a, b) = (
             place.square([0.0, 0.0, 0.0], 4.0),
             place.square([0.0, 0.0, 8.0], 4.0),
         );
-        // Lines from A to B move one sideways for each forward at most. The second fence's pickets are in
-        // front of the first's gaps, half a step wide, at such a distance.
+        // Lines from A to B move sideways by at most one for each unit forward. The second fence's pickets
+        // are in front of the first fence's gaps. Each gap is half a step wide.
         let world = |fences: &[(f64, f64, f64)]| {
             let mut draft = Draft::new(place);
             fences
@@ -36,7 +36,8 @@ fn fences_are_seen_through_unless_they_close_each_others_gaps() {
         visible(&world(&[(4.0, 0.0, 0.5)]), &a, &b, place);
         visible(&world(&[(4.0, 0.0, 1.0 - 2f64.powi(-12))]), &a, &b, place);
         hidden(&world(&[(4.0, 0.0, 1.0)]), &a, &b, place);
-        // In one plane they abut; one behind the other they leave slanted lines free, unless they overlap.
+        // In one plane the fences abut. One behind the other, they leave slanted lines free unless they
+        // overlap.
         hidden(&world(&[(4.0, 0.0, 0.5), (4.0, 0.5, 0.5)]), &a, &b, place);
         visible(
             &world(&[(4.0, 0.0, 0.5), (4.0 + 2f64.powi(-10), 0.5, 0.5)]),
@@ -57,7 +58,7 @@ fn fences_are_seen_through_unless_they_close_each_others_gaps() {
             place,
         );
         visible(&world(&[(4.0, 0.0, 0.5), (4.25, 0.5, 0.75)]), &a, &b, place);
-        // Widened by just what the steepest line from A to B gains.
+        // The pickets are widened by exactly the gain of the steepest line from A to B.
         hidden(
             &world(&[(4.0, 0.0, 0.5), (4.125, 0.5, 0.75), (5.0, 0.0, 0.5)]),
             &a,
@@ -68,9 +69,10 @@ fn fences_are_seen_through_unless_they_close_each_others_gaps() {
 }
 
 #[test]
-fn what_is_seen_past_three_edges_is_hidden_when_one_moves() {
-    // At 1 what has x ≥ y/4 is closed, at 3 x ≥ −y/4, at 2 x ≤ limit. Free lines have x₂ = (x₁ + x₃)/2 < (y₁
-    // − y₃)/8, and y₁ − y₃ = (y₀ − y₄)/2 is 1 at most: some are free exactly when the limit is below 1/8.
+fn moving_one_of_three_edges_hides_polygon() {
+    // The wall at 1 closes x ≥ y/4, the wall at 3 closes x ≥ −y/4, and the wall at 2 closes x ≤ limit. Free
+    // lines have x₂ = (x₁ + x₃)/2 < (y₁ − y₃)/8, and y₁ − y₃ = (y₀ − y₄)/2 is at most 1. So free lines exist
+    // exactly if the limit is below 1/8.
     let world = |place: &Place, limit: f64, without: usize| {
         let mut draft = Draft::new(place);
         if without != 1 {
@@ -129,11 +131,12 @@ fn what_is_seen_past_three_edges_is_hidden_when_one_moves() {
 }
 
 #[test]
-fn polygons_that_touch_see_each_other_unless_they_are_in_one_plane() {
+fn touching_polygons_see_each_other_unless_in_one_plane() {
     for place in &exact() {
         let world = empty(place);
         let a = place.square([0.0; 3], 1.0);
-        // A corner in common, an edge, part of an edge, a corner on an edge, a corner inside, an edge inside.
+        // These share a corner, an edge, or part of an edge, or have a corner on an edge, a corner inside, or
+        // an edge inside.
         for b in [
             [[1.0, 1.0, 0.0], [2.0, 1.0, 1.0], [1.0, 2.0, 1.0]],
             [[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 2.0]],
@@ -141,22 +144,22 @@ fn polygons_that_touch_see_each_other_unless_they_are_in_one_plane() {
             [[1.0, 0.5, 0.0], [2.0, 1.0, 1.0], [1.0, 1.0, 1.0]],
             [[0.25, 0.5, 0.0], [2.0, 1.0, 1.0], [1.0, 1.0, 1.0]],
             [[-0.25, 0.5, 0.0], [0.25, 0.5, 0.0], [0.0, 0.5, -1.0]],
-            // Crossing it, sticking through it whole, through its corner, through its edge.
+            // These cross A, pass entirely through it, pass through its corner, or pass through its edge.
             [[0.0, -2.0, -1.0], [0.0, 2.0, -1.0], [0.0, 0.0, 1.0]],
             [[0.5, -0.5, -1.0], [0.25, 0.5, -1.0], [0.0, 0.0, 1.0]],
             [[1.0, 1.0, -1.0], [2.0, 2.0, 0.5], [1.0, 1.0, 1.0]],
             [[1.0, -0.5, -1.0], [1.0, 0.5, -1.0], [1.0, 0.0, 1.0]],
-            // The plane of A cuts it beside A; the plane of A touches it beside A.
+            // The plane of A cuts the polygon next to A, or touches the polygon next to A.
             [[2.0, -1.0, -1.0], [2.0, 1.0, -1.0], [3.0, 0.0, 1.0]],
             [[2.0, -1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 0.0, 1.0]],
-            // Its plane cuts A, its plane touches A, with the line of both planes along edges of both.
+            // The polygon's plane cuts A, or touches A, with the line of both planes along edges of both.
             [[0.0, -1.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 2.0]],
             [[1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 0.0, 2.0]],
             [[1.0, 2.0, 0.0], [1.0, 3.0, 0.0], [1.0, 2.0, 1.0]],
         ] {
             visible(&world, &a, &place.polygon(&b), place);
         }
-        // In its plane: apart, touching, overlapping, the same.
+        // These are in A's plane: apart, touching, overlapping, and inside A.
         for b in [
             [[2.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.0, 0.0]],
             [[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [3.0, 0.0, 0.0]],
@@ -170,9 +173,9 @@ fn polygons_that_touch_see_each_other_unless_they_are_in_one_plane() {
 }
 
 #[test]
-fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
+fn dividing_blocker_hides_touching_polygons() {
     for place in &exact() {
-        // Both share the edge from (0, 0, 0) to (0, 0, 1); the blocker begins `from` away from it.
+        // Both share the edge from (0, 0, 0) to (0, 0, 1). The blocker begins at a distance `from` from it.
         let (a, b) = (
             place.polygon(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]]),
             place.polygon(&[[0.0; 3], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
@@ -191,7 +194,7 @@ fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
         hidden(&divided(-1.0), &a, &b, place);
         visible(&divided(2f64.powi(-20)), &a, &b, place);
         visible(&divided(0.25), &a, &b, place);
-        // Crossing squares: four corners between them to close.
+        // The squares cross, and four corners between them must be closed.
         let upright = place.polygon(&[
             [0.0, -1.0, -1.0],
             [0.0, 1.0, -1.0],
@@ -224,7 +227,7 @@ fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
 }
 
 #[test]
-fn what_lies_in_the_plane_of_a_polygon_does_not_block() {
+fn triangles_in_plane_of_polygon_do_not_block() {
     for place in exact().iter().chain(&ordered()) {
         let (a, b) = (
             place.square([0.0; 3], 1.0),
@@ -236,7 +239,8 @@ fn what_lies_in_the_plane_of_a_polygon_does_not_block() {
         draft.rectangle(2.0, [-0.5, 4.0], [-4.0, 4.0]);
         draft.rectangle(2.0, [-4.0, 4.0], [-4.0, 4.0]);
         visible(&draft.done(), &a, &b, place);
-        // Both sides of a wall are seen from a face in its plane; from one a unit before it, one alone.
+        // Both sides of a wall are visible from a face in the wall's plane. From a face one unit in the last
+        // place in front of it, only one side is visible.
         let mut draft = Draft::new(place);
         draft.rectangle(1.0, [-4.0, 4.0], [-4.0, 4.0]);
         let world = draft.done();
@@ -264,10 +268,10 @@ fn what_lies_in_the_plane_of_a_polygon_does_not_block() {
 }
 
 #[test]
-fn a_face_that_reaches_over_a_walls_edge_sees_past_it() {
+fn face_across_edge_of_wall_sees_past_wall() {
     for place in &exact() {
         let mut draft = Draft::new(place);
-        // A corner of two walls; the face of a cell lies in the plane of one and ends at the other.
+        // Two walls form a corner. The face of a cell lies in the plane of one wall and ends at the other.
         draft.rectangle(0.0, [-4.0, 4.0], [-4.0, 4.0]);
         draft.quad([
             [1.0, -4.0, -4.0],
@@ -283,7 +287,7 @@ fn a_face_that_reaches_over_a_walls_edge_sees_past_it() {
         let across = place.rectangle(0.0, [-1.0, 1.5], [-1.0, 1.0]);
         visible(&world, &across, &behind(1.0), place);
         visible(&world, &across, &behind(-1.0), place);
-        // The wall itself is seen from the face that ends at it.
+        // The wall itself is visible from the face that ends at it.
         visible(
             &world,
             &face,
@@ -294,7 +298,7 @@ fn a_face_that_reaches_over_a_walls_edge_sees_past_it() {
 }
 
 #[test]
-fn duplicates_and_triangles_without_area_change_nothing() {
+fn duplicates_and_degenerate_triangles_do_not_affect_verdict() {
     for place in exact().iter().chain(&ordered()) {
         let (a, b) = (
             place.square([0.0; 3], 1.0),
@@ -314,7 +318,7 @@ fn duplicates_and_triangles_without_area_change_nothing() {
             )
             .triangles;
             let once = draft.triangles.clone();
-            // Again, reversed, and begun at another corner, before and after.
+            // The duplicates are equal, reversed, or start at another corner, before and after the originals.
             draft.triangles.extend(
                 once.iter()
                     .flat_map(|[a, b, c]| [[*a, *b, *c], [*c, *b, *a], [*b, *c, *a]]),
@@ -322,7 +326,7 @@ fn duplicates_and_triangles_without_area_change_nothing() {
             draft
                 .triangles
                 .splice(0..0, once.iter().map(|[a, b, c]| [*b, *a, *c]));
-            // Points and segments in the slit and around it, some on the walls' edges.
+            // Points and segments are in the slit and around it, some on the walls' edges.
             let p = |x: f32, y: f64| Vec3::new(x, place.local(y), place.local(1.0));
             draft.triangles.extend([
                 [p(lo, 0.0); 3],
@@ -333,7 +337,7 @@ fn duplicates_and_triangles_without_area_change_nothing() {
             ]);
             assert_eq!(draft.done().mutual(&a, &b), open, "{place:?}");
         }
-        // A wall of nothing but segments.
+        // This wall consists only of segments.
         let mut draft = Draft::new(place);
         for k in -8..=8 {
             let x = f64::from(k) / 4.0;
@@ -345,14 +349,15 @@ fn duplicates_and_triangles_without_area_change_nothing() {
 }
 
 #[test]
-fn what_touches_the_lines_from_outside_hides_nothing() {
+fn triangles_that_touch_lines_from_outside_do_not_hide() {
     for place in exact().iter().chain(&ordered()) {
         let (a, b) = (
             place.square([0.0; 3], 1.0),
             place.square([0.0, 0.0, 2.0], 1.0),
         );
         let mut draft = Draft::new(place);
-        // Walls around the volume, some in its faces' planes, some that touch a face's middle or an edge.
+        // The walls are around the volume. Some are in the planes of its faces, and some touch the middle of
+        // a face or an edge.
         draft.rectangle(1.0, [1.0, 4.0], [-4.0, 4.0]);
         draft.rectangle(1.0, [-4.0, -1.0], [-4.0, 4.0]);
         draft.quad([
@@ -366,7 +371,8 @@ fn what_touches_the_lines_from_outside_hides_nothing() {
         visible(&draft.done(), &a, &b, place);
     }
     for place in &exact() {
-        // The two halves of a wall that abut along the edge of the volume: either alone hides a half.
+        // The two halves of a wall abut along the edge of the volume. Each half without the other hides only
+        // its half.
         let (a, b) = (
             place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]),
             place.rectangle(2.0, [-1.0, 0.0], [-1.0, 1.0]),
@@ -377,7 +383,7 @@ fn what_touches_the_lines_from_outside_hides_nothing() {
         let mut left = Draft::new(place);
         left.rectangle(1.0, [-4.0, 0.0], [-4.0, 4.0]);
         hidden(&left.done(), &a, &b, place);
-        // A triangle that meets all lines in one corner of the volume or along an edge of A alone.
+        // These triangles meet all lines only in one corner of the volume or along an edge of A.
         let mut corner = Draft::new(place);
         corner.triangle([[-1.0, -1.0, 1.0], [-4.0, -1.0, 1.0], [-1.0, -4.0, 1.0]]);
         corner.triangle([[-1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, 0.0, 3.0]]);
@@ -387,7 +393,7 @@ fn what_touches_the_lines_from_outside_hides_nothing() {
 }
 
 #[test]
-fn a_list_of_parts_is_seen_when_one_of_them_is() {
+fn list_of_parts_is_visible_if_one_part_is() {
     for place in &exact() {
         let mut draft = Draft::new(place);
         draft.window(1.0, 8.0, [0.25, 0.5], [0.25, 0.5]);

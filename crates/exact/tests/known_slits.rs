@@ -1,4 +1,5 @@
-//! Slits, portals and windows whose visibility is known by construction, at many scales and rotations.
+//! Tests of slits, portals and windows whose visibility is known by construction, at many scales and
+//! rotations.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -8,7 +9,7 @@ use common::truth::{hidden, slit, visible};
 use common::{Draft, Place, World, exact, ordered, rounded};
 
 #[test]
-fn a_slit_however_narrow_is_seen_through_and_a_closed_one_is_not() {
+fn narrow_slits_show_and_closed_slits_hide() {
     for place in exact().iter().chain(&ordered()) {
         let (a, b) = (
             place.square([0.0, 0.0, 0.0], 1.0),
@@ -16,7 +17,7 @@ fn a_slit_however_narrow_is_seen_through_and_a_closed_one_is_not() {
         );
         let lo = place.local(0.3);
         for width in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 0.0] {
-            // Never less than a unit in the last place.
+            // The width is at least a unit in the last place.
             let hi = place.local(0.3 + 8.0 * width).max(lo.next_up());
             visible(&slit(place, lo, hi), &a, &b, place);
         }
@@ -27,7 +28,7 @@ fn a_slit_however_narrow_is_seen_through_and_a_closed_one_is_not() {
 }
 
 #[test]
-fn a_slit_turned_any_way_is_seen_through_unless_it_is_closed() {
+fn turned_slits_show_unless_closed() {
     for place in &rounded() {
         let (a, b) = (
             place.square([0.0, 0.0, 0.0], 1.0),
@@ -48,8 +49,8 @@ fn a_slit_turned_any_way_is_seen_through_unless_it_is_closed() {
 }
 
 #[test]
-fn a_slit_is_seen_through_at_a_slant() {
-    // From −0.9…−0.5 through 0.3 at half way to 1.1…1.5.
+fn slit_shows_along_slanted_lines() {
+    // The lines go from −0.9…−0.5 through 0.3 at half the distance to 1.1…1.5.
     for place in exact().iter().chain(&rounded()) {
         let (a, b) = (
             place.rectangle(0.0, [-0.9, -0.5], [-1.0, 1.0]),
@@ -66,7 +67,7 @@ fn a_slit_is_seen_through_at_a_slant() {
 }
 
 #[test]
-fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
+fn aligned_slits_show_and_offset_slits_hide() {
     for place in exact().iter().chain(&ordered()).chain(&rounded()) {
         for (offset, seen) in [
             (0.0, true),
@@ -76,7 +77,7 @@ fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
             (-0.2, false),
         ] {
             for width in [1e-2, 1e-3] {
-                // From (0, 1) and (offset, 2) the line comes to −offset at 0 and twice the offset at 3.
+                // From (0, 1) and (offset, 2), the line reaches −offset at 0 and twice the offset at 3.
                 let mut draft = Draft::new(place);
                 draft.window(1.0, 4.0, [0.0, width], [-3.0, 3.0]);
                 draft.window(2.0, 4.0, [offset, offset + width], [-3.0, 3.0]);
@@ -85,7 +86,7 @@ fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
                     place.rectangle(0.0, [-0.1, 0.1], [-1.0, 1.0]),
                     place.rectangle(3.0, [-0.1, 0.1], [-1.0, 1.0]),
                 );
-                // Far out the grid is too coarse for the difference.
+                // Far from the origin, the grid is too coarse for the difference.
                 if place.shift.abs() > 100.0 * place.scale && offset.abs() < 0.1 {
                     continue;
                 }
@@ -96,9 +97,9 @@ fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
 }
 
 #[test]
-fn where_one_line_alone_would_pass_nothing_is_seen() {
-    // x ≤ 0 on A, x ≥ 0 left open halfway and x ≤ `limit` on B: with limit 0 the lines with x = 0 are all
-    // there is.
+fn single_line_does_not_make_polygon_visible() {
+    // A has x ≤ 0, the first wall leaves x ≥ 0 open, and the second x ≤ `limit`. With limit 0, only the lines
+    // with x = 0 remain.
     for place in exact().iter().filter(|p| p.scale == 1.0) {
         let a = place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]);
         let b = place.rectangle(4.0, [-1.0, 1.0], [-1.0, 1.0]);
@@ -117,8 +118,10 @@ fn where_one_line_alone_would_pass_nothing_is_seen() {
     }
 }
 
-/// A wall in a plane z around a slit: through `centre`, `half_length` steps of `along` each way, `half_width`
-/// steps across.
+/// Adds a wall in a plane z around a slit.
+///
+/// The slit is centred at `centre`, extends `half_length` steps of `along` in each direction, and
+/// `half_width` steps across.
 fn wall_around(
     draft: &mut Draft<'_>,
     z: f64,
@@ -144,10 +147,10 @@ fn wall_around(
     piece([-reach, -half_length], [-reach, reach]);
 }
 
-/// Slits along x at 0, along y at 1 and, moved by `aside`, along the diagonal at 2.
+/// Creates slits along x at 0, along y at 1 and, moved by `aside`, along the diagonal at 2.
 ///
-/// The line from (t, 0, 0) to (0, s, 1) comes to (−t, 2s) at 2, so those through three slits without width
-/// have t = −2s: one family, which comes from (−4s, −s) at −1 and goes to (4s, 3s) at 3.
+/// The line from (t, 0, 0) to (0, s, 1) reaches (−t, 2s) at 2, so the lines through three slits without width
+/// have t = −2s. This is one family, which comes from (−4s, −s) at −1 and goes to (4s, 3s) at 3.
 fn three_slits(place: &Place, half_width: f64, aside: f64) -> World {
     let mut draft = Draft::new(place);
     wall_around(&mut draft, 0.0, [0.0, 0.0], [1.0, 0.0], 1.5, half_width);
@@ -164,7 +167,7 @@ fn three_slits(place: &Place, half_width: f64, aside: f64) -> World {
 }
 
 #[test]
-fn three_skew_slits_let_a_ruled_family_through() {
+fn three_skew_slits_show_along_ruled_family() {
     let wide = [2f64.powi(-6), 2f64.powi(-10)];
     let narrow = [2f64.powi(-15), 2f64.powi(-20)];
     for (places, widths) in [
@@ -193,7 +196,7 @@ fn three_skew_slits_let_a_ruled_family_through() {
 }
 
 #[test]
-fn an_area_is_seen_through_four_and_five_portals_in_line() {
+fn four_and_five_aligned_portals_show_area() {
     for place in exact().iter().chain(&rounded()) {
         for count in [4, 5] {
             let centre = |k: usize| [0.3 * k as f64, -0.2 * k as f64];
@@ -206,7 +209,7 @@ fn an_area_is_seen_through_four_and_five_portals_in_line() {
                 let mut draft = Draft::new(place);
                 for k in 1..=count {
                     let [x, y] = centre(k);
-                    // What passes the portals before and after comes within 0.1 of this one's centre.
+                    // Lines that pass the portals before and after come within 0.1 of this portal's centre.
                     let x = if k == moved { x + 0.4 } else { x };
                     draft.window(k as f64, 8.0, [x - 0.05, x + 0.05], [y - 0.05, y + 0.05]);
                 }
@@ -221,7 +224,7 @@ fn an_area_is_seen_through_four_and_five_portals_in_line() {
 }
 
 #[test]
-fn a_window_one_float_wide_is_seen_through() {
+fn window_one_float_wide_shows_polygon() {
     for place in exact().iter().chain(&ordered()) {
         let (a, b) = (
             place.square([0.0, 0.0, 0.0], 1.0),

@@ -1,4 +1,5 @@
-//! Seams and closed surfaces whose visibility is known by construction, at many scales and rotations.
+//! Tests of seams and closed surfaces whose visibility is known by construction, at many scales and
+//! rotations.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -12,14 +13,14 @@ use glam::{DVec3, Vec3};
 use sightline_geometry::predicates::orient3d_sign;
 
 #[test]
-fn the_edge_two_triangles_share_is_no_crack() {
+fn shared_edge_of_two_triangles_leaves_no_crack() {
     for place in exact().iter().chain(&ordered()).chain(&rounded()) {
         let mut draft = Draft::new(place);
-        // The edge from (−4, −4) to (4, 4).
+        // The shared edge runs from (−4, −4) to (4, 4).
         draft.rectangle(1.0, [-4.0, 4.0], [-4.0, 4.0]);
         let world = draft.done();
-        // Through it, with the edge seen as a point (from the side), as a line, and from a slit of its own
-        // shape.
+        // The lines pass through the edge, which appears as a point (from the side), as a line, and from a
+        // slit of the same shape.
         let (a, b) = (
             place.square([0.0, 0.0, 0.0], 1.0),
             place.square([0.0, 0.0, 2.0], 1.0),
@@ -43,7 +44,8 @@ fn the_edge_two_triangles_share_is_no_crack() {
         let mut draft = Draft::new(place);
         draft.rectangle(1.0, [-4.0, 4.0], [-4.0, 4.0]);
         let world = draft.done();
-        // Along it: both ends touch the wall's plane, across the edge's line, on different sides of the wall.
+        // The lines run along the edge: both ends touch the wall's plane, across the edge's line, on
+        // different sides of the wall.
         let end = |c: f64, z: f64| {
             place.polygon(&[
                 [c + 1.0, c - 1.0, 1.0],
@@ -53,14 +55,14 @@ fn the_edge_two_triangles_share_is_no_crack() {
             ])
         };
         hidden(&world, &end(-2.0, 2.0), &end(2.0, 0.0), place);
-        // On the same side the wall is not in between.
+        // If both ends are on the same side, the wall is not in between.
         visible(&world, &end(-2.0, 2.0), &end(2.0, 2.0), place);
         visible(&world, &end(-2.0, 2.0), &end(2.0, 1.5), place);
     }
 }
 
 #[test]
-fn a_roof_is_closed_along_its_ridge() {
+fn roof_is_closed_along_ridge() {
     for place in exact().iter().chain(&rounded()) {
         for bend in [-1.0, -0.001, 0.001, 1.0] {
             let mut draft = Draft::new(place);
@@ -82,7 +84,7 @@ fn a_roof_is_closed_along_its_ridge() {
                 place.square([0.0, 0.0, 6.0], 1.0),
             );
             hidden(&world, &a, &b, place);
-            // In the plane of symmetry, through the ridge.
+            // These polygons are in the plane of symmetry, through the ridge.
             let upright = |z: [f64; 2]| {
                 place.polygon(&[[0.0, -1.0, z[0]], [0.0, 1.0, z[0]], [0.0, 0.0, z[1]]])
             };
@@ -112,7 +114,7 @@ fn corners_on_edges_leave_no_cracks() {
         hidden(&world, &a, &b, place);
     }
     for place in &exact() {
-        // One triangle above the diagonal and many below, which meet it at `middle` among other corners.
+        // One triangle is above the diagonal. Many below meet it at `middle` and at other corners.
         let wall = |middle: [f64; 2]| {
             let mut draft = Draft::new(place);
             draft.triangle([[-4.0, -4.0, 1.0], [4.0, 4.0, 1.0], [-4.0, 4.0, 1.0]]);
@@ -129,19 +131,20 @@ fn corners_on_edges_leave_no_cracks() {
         );
         hidden(&wall([0.5, 0.5]), &a, &b, place);
         hidden(&wall([0.25, 0.25]), &a, &b, place);
-        // A unit in the last place beyond the edge, overlapping, and short of it, leaving a crack.
+        // The corner is a unit in the last place beyond the edge, which overlaps, or before the edge, which
+        // leaves a crack.
         hidden(&wall([0.5, f64::from(0.5f32.next_up())]), &a, &b, place);
         visible(&wall([0.5, f64::from(0.5f32.next_down())]), &a, &b, place);
     }
 }
 
-/// A triangle, each corner somewhere in a ball.
+/// Creates a triangle with each corner at a random position in a ball.
 fn somewhere(random: &mut Random, centre: DVec3, radius: f64) -> [[f64; 3]; 3] {
     [0; 3].map(|_| (centre + random.direction() * random.between(0.3, 1.0) * radius).to_array())
 }
 
 #[test]
-fn nothing_outside_a_closed_mesh_is_seen_from_inside() {
+fn closed_mesh_hides_outside_from_inside() {
     let mut random = Random::new(1);
     for place in exact().iter().chain(&rounded()) {
         for sphere in [false, true] {
@@ -168,7 +171,7 @@ fn nothing_outside_a_closed_mesh_is_seen_from_inside() {
 }
 
 #[test]
-fn of_a_ball_the_faces_turned_towards_one_are_seen() {
+fn polygon_sees_faces_of_ball_turned_towards_it() {
     let mut random = Random::new(2);
     for place in exact().iter().chain(&rounded()).filter(|p| p.scale == 1.0) {
         let mut draft = Draft::new(place);
@@ -215,7 +218,7 @@ fn nested_boxes_keep_their_insides_apart() {
         draft.solid([-4.0; 3], [4.0; 3]);
         let world = draft.done();
         let at = |x: f64| place.polygon(&[[x, -0.5, -0.4], [x, 0.5, 0.1], [x + 0.2, 0.0, 0.5]]);
-        // Inside each, and outside all.
+        // The rooms are inside each box and outside all boxes.
         let rooms = [0.0, 1.5, 3.0, 5.0];
         for (i, x) in rooms.iter().enumerate() {
             for y in &rooms[i + 1..] {
@@ -226,7 +229,7 @@ fn nested_boxes_keep_their_insides_apart() {
         for x in rooms {
             visible(&world, &at(x), &again(x + 0.1), place);
         }
-        // Round the corner of a box, but not to its other side.
+        // The first polygon is around the corner of a box; the second is on the other side of the box.
         let beside = place.polygon(&[[0.5, 1.5, -0.5], [0.9, 1.9, -0.5], [0.7, 1.7, 0.5]]);
         visible(&world, &at(1.5), &beside, place);
         let opposite = place.polygon(&[[-1.5, -0.1, -0.1], [-1.5, 0.1, -0.1], [-1.6, 0.0, 0.1]]);

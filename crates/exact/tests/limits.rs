@@ -1,5 +1,5 @@
-//! A query ends within what it was allowed, says which limit that was, and never calls hidden or seen what it
-//! did not decide.
+//! Tests of the limits of a query: the query ends within its limits, reports the limit that ended it, and
+//! never reports hidden or visible without a decision.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -10,12 +10,14 @@ use std::cell::Cell;
 use common::permutations;
 use glam::{DVec3, Vec3};
 use sightline_exact::{
-    Cost, Limits, Occluders, Polygon, Reason, Verdict, sightlines, sightlines_until,
+    Occluders, Polygon, QueryCost, QueryLimits, UndecidedReason, Verdict, sightlines,
+    sightlines_until,
 };
 use sightline_scene::{Object, Scene, Triangle};
 
-/// Two squares with two fences between that close each other's gaps, in one of the ways the axes can be
-/// turned.
+/// Creates two squares, and between them two fences that close each other's gaps.
+///
+/// `turn` selects one of the permutations of the axes.
 fn fences(turn: usize) -> (Occluders, [Vec<Polygon>; 2]) {
     let turn = permutations()[turn];
     let place = |p: [f64; 3]| (turn * DVec3::from(p)).as_vec3();
@@ -48,7 +50,7 @@ fn fences(turn: usize) -> (Occluders, [Vec<Polygon>; 2]) {
     (scene, [square(0.0), square(8.0)])
 }
 
-fn reason(found: &(Verdict, Cost)) -> Option<Reason> {
+fn reason(found: &(Verdict, QueryCost)) -> Option<UndecidedReason> {
     if let Verdict::Undecided(reason) = &found.0 {
         Some(*reason)
     } else {
@@ -57,26 +59,26 @@ fn reason(found: &(Verdict, Cost)) -> Option<Reason> {
 }
 
 #[test]
-fn every_limit_ends_a_query_with_its_own_reason() {
+fn each_limit_ends_query_with_matching_reason() {
     for turn in 0..permutations().len() {
         let (scene, [a, b]) = fences(turn);
-        let whole = sightlines(&scene, &a, &b, &Limits::default());
+        let whole = sightlines(&scene, &a, &b, &QueryLimits::default());
         assert!(matches!(whole.0, Verdict::Hidden(_)), "{:?}", whole.0);
-        let Cost {
+        let QueryCost {
             regions, vectors, ..
         } = whole.1;
         assert!(regions > 10, "{regions} regions tell little");
-        // What it takes is enough, and less is not.
+        // The measured cost is sufficient as a limit, and a lower limit is not.
         let with = |regions: u64, vectors: u64| {
             let (regions, vectors) = (regions as u32, vectors as u32);
             sightlines(
                 &scene,
                 &a,
                 &b,
-                &Limits {
+                &QueryLimits {
                     regions,
                     vectors,
-                    ..Limits::default()
+                    ..QueryLimits::default()
                 },
             )
         };
@@ -85,7 +87,7 @@ fn every_limit_ends_a_query_with_its_own_reason() {
             let found = with(part, vectors);
             assert_eq!(
                 reason(&found),
-                Some(Reason::Regions),
+                Some(UndecidedReason::Regions),
                 "{part} of {regions} regions"
             );
             assert_eq!(found.1.regions, part + 1);
@@ -93,7 +95,7 @@ fn every_limit_ends_a_query_with_its_own_reason() {
         for part in [0, vectors / 2, vectors - 1] {
             assert_eq!(
                 reason(&with(regions, part)),
-                Some(Reason::Memory),
+                Some(UndecidedReason::Memory),
                 "{part} of {vectors} vectors"
             );
         }
@@ -101,18 +103,18 @@ fn every_limit_ends_a_query_with_its_own_reason() {
 }
 
 #[test]
-fn a_query_that_is_told_to_stop_does_so_before_the_next_region() {
+fn stopped_query_ends_before_next_region() {
     let (scene, [a, b]) = fences(0);
-    let whole = sightlines(&scene, &a, &b, &Limits::default());
+    let whole = sightlines(&scene, &a, &b, &QueryLimits::default());
     let regions = whole.1.regions;
     for after in [0, 1, 7, regions / 2, regions - 1, regions, regions + 1] {
         let asked = Cell::new(0);
         let stop = || asked.replace(asked.get() + 1) >= after;
-        let found = sightlines_until(&scene, (&a, &b), &Limits::default(), &stop);
+        let found = sightlines_until(&scene, &a, &b, &QueryLimits::default(), &stop);
         if after < regions {
             assert_eq!(
                 reason(&found),
-                Some(Reason::Stopped),
+                Some(UndecidedReason::Stopped),
                 "told to stop at {after} of {regions}"
             );
             assert_eq!((found.1.regions, asked.get()), (after + 1, after + 1));

@@ -1,4 +1,4 @@
-//! What holds of any scene: on a coarse grid, where almost everything touches something, and on random
+//! Properties of any scene, on a coarse grid, where almost all triangles touch each other, and on random
 //! floats.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
@@ -23,7 +23,7 @@ impl Case {
         sees(&World::new(self.triangles.clone()), &self.a, &self.b)
     }
 
-    /// All coordinates changed alike.
+    /// Returns the case with `f` applied to all points.
     fn mapped(&self, f: impl Fn(DVec3) -> DVec3) -> Self {
         let points = |p: &[DVec3]| p.iter().map(|p| f(*p)).collect();
         Self {
@@ -38,22 +38,23 @@ impl Case {
     }
 }
 
-/// Undecided or refused is a failure.
+/// Runs a query; an undecided query and a rejected verdict are failures.
 fn sees(world: &World, a: &[DVec3], b: &[DVec3]) -> Result<bool, TestCaseError> {
     world.try_sees(a, b).map_err(TestCaseError::fail)
 }
 
 fn has_area(p: &[DVec3]) -> bool {
-    // Exact for what is drawn here: small integers, or floats that are not on a line by far.
+    // The test is exact for the points of these strategies: small integers, or floats that are far from one
+    // line.
     (p[1] - p[0]).cross(p[2] - p[0]).length() > 1e-3
 }
 
-/// Even numbers, so that the middles of edges are on the grid of whole numbers.
+/// Generates points with even coordinates, so that the middles of edges are on the grid of whole numbers.
 fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
     prop::array::uniform3(-reach..=reach).prop_map(|p| Vec3::from(p.map(|c| 2.0 * f32::from(c))))
 }
 
-/// Triangles, some of them without area, and now and then a rectangle across the scene.
+/// Generates triangles, some of them without area, and occasionally a rectangle across the scene.
 fn grid_triangles(reach: i8) -> impl Strategy<Value = Vec<Corners>> {
     let triangle = prop::array::uniform3(grid_point(reach)).prop_map(|t| vec![t]);
     let rectangle = (
@@ -85,7 +86,9 @@ fn grid_triangles(reach: i8) -> impl Strategy<Value = Vec<Corners>> {
         .prop_map(|t| t.concat())
 }
 
-/// A triangle, or the parallelogram of which it is a half, in which case it is convex and flat exactly.
+/// Generates a triangle, or the parallelogram of which it is a half.
+///
+/// The parallelogram is convex and exactly flat.
 fn grid_polygon(reach: i8) -> impl Strategy<Value = Vec<DVec3>> {
     (prop::array::uniform3(grid_point(reach)), any::<bool>()).prop_filter_map(
         "no area",
@@ -101,7 +104,7 @@ fn grid_polygon(reach: i8) -> impl Strategy<Value = Vec<DVec3>> {
     )
 }
 
-/// Small grids, on which almost everything touches, and larger ones.
+/// Generates cases on small grids, on which almost all triangles touch each other, and on larger grids.
 fn grid_case() -> impl Strategy<Value = Case> {
     select(vec![1i8, 2, 3, 5]).prop_flat_map(|reach| {
         (
@@ -145,7 +148,7 @@ proptest! {
     #![proptest_config(cases(2000))]
 
     #[test]
-    fn who_sees_is_seen(case in any_case()) {
+    fn visibility_is_symmetric(case in any_case()) {
         let world = World::new(case.triangles.clone());
         prop_assert_eq!(sees(&world, &case.a, &case.b)?, sees(&world, &case.b, &case.a)?);
     }
@@ -160,13 +163,13 @@ proptest! {
     }
 
     #[test]
-    fn growing_a_polygon_never_hides(case in any_case(), corner in any::<Index>(), times in 2..4i32) {
-        // Away from one of its corners: what was is within.
+    fn growing_polygon_never_hides_it(case in any_case(), corner in any::<Index>(), times in 2..4i32) {
+        // The polygon grows away from one of its corners, so the grown polygon contains the original.
         let grown = |p: &[DVec3]| -> Vec<DVec3> {
             let o = p[corner.index(p.len())];
             p.iter().map(|x| o + (*x - o) * f64::from(times)).collect()
         };
-        // Sums and multiples of floats as near to each other as these are exact in doubles.
+        // Sums and multiples of floats with such similar magnitudes are exact in doubles.
         let world = World::new(case.triangles.clone());
         let seen = sees(&world, &case.a, &case.b)?;
         let (a, b) = (grown(&case.a), grown(&case.b));
@@ -177,14 +180,15 @@ proptest! {
     }
 
     #[test]
-    fn neither_the_order_of_triangles_nor_that_of_their_corners_matters(
-        (case, order) in any_case().prop_flat_map(|case| {
+    fn verdict_is_independent_of_order_of_triangles_and_corners(
+        ordered_case in any_case().prop_flat_map(|case| {
             let order: Vec<usize> = (0..case.triangles.len()).collect();
             (Just(case), Just(order).prop_shuffle())
         }),
         turns in prop::collection::vec(0..6usize, 60),
         ends in prop::array::uniform2(any::<Index>()),
     ) {
+        let (case, order) = ordered_case;
         let turned = |[a, b, c]: Corners, how: usize| {
             [[a, b, c], [b, c, a], [c, a, b], [c, b, a], [b, a, c], [a, c, b]][how]
         };
@@ -206,7 +210,7 @@ proptest! {
     }
 
     #[test]
-    fn powers_of_two_and_turns_and_mirrors_of_the_axes_change_nothing(
+    fn scaling_turning_and_mirroring_preserve_verdict(
         case in any_case(),
         exponent in -40..40i32,
         axes in Just(vec![0usize, 1, 2]).prop_shuffle(),
@@ -220,7 +224,7 @@ proptest! {
     }
 
     #[test]
-    fn whole_steps_along_the_grid_change_nothing(
+    fn whole_steps_along_grid_preserve_verdict(
         case in grid_case(),
         steps in prop::array::uniform3(-400_000..400_000i32),
     ) {
@@ -229,11 +233,11 @@ proptest! {
     }
 
     #[test]
-    fn shearing_the_grid_changes_nothing(
+    fn shearing_grid_preserves_verdict(
         case in grid_case(),
         by in prop::array::uniform3(-3..=3i32),
     ) {
-        // An affine map takes lines to lines; whole numbers stay whole numbers.
+        // An affine map maps lines to lines, and whole numbers stay whole numbers.
         let [x, y, z] = by.map(f64::from);
         let sheared = case.mapped(|p| {
             let p = DVec3::new(p.x + x * p.y, p.y, p.z);
@@ -244,12 +248,13 @@ proptest! {
     }
 
     #[test]
-    fn triangles_cut_into_four_block_as_before(case in grid_case()) {
+    fn cutting_triangles_preserves_verdict(case in grid_case()) {
         let cut = |[a, b, c]: Corners| {
             let [p, q, r] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
             [[a, p, r], [p, b, q], [r, q, c], [p, q, r]]
         };
-        // All of them, and every other, which leaves corners on their neighbours' edges.
+        // All triangles are cut, and then every other triangle, which leaves corners on their neighbours'
+        // edges.
         let some = |which: usize| Case {
             triangles: case
                 .triangles
@@ -265,10 +270,11 @@ proptest! {
     }
 
     #[test]
-    fn a_polygon_is_seen_when_a_part_of_it_is(case in grid_case()) {
+    fn polygon_is_visible_if_part_of_it_is(case in grid_case()) {
         let world = World::new(case.triangles.clone());
         let whole = sees(&world, &case.a, &case.b)?;
-        // A triangle or parallelogram in two, from a corner to the middle of an edge that does not end there.
+        // A triangle or parallelogram is cut in two, from a corner to the middle of an edge that does not end
+        // there.
         let parts = |p: &[DVec3]| {
             let middle = (p[1] + p[2]) / 2.0;
             let mut rest = vec![p[0], middle];

@@ -1,4 +1,4 @@
-//! Lines that stab sequences of polygons: known answers, and random sequences against lines.
+//! Tests of lines that stab sequences of polygons: known answers, and random sequences against lines.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -6,21 +6,21 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use proptest::prelude::*;
-use sightline_exact::{Limits, Polygon, Source, Stabbed, predicates, stab};
+use sightline_exact::{PointOrigin, Polygon, QueryLimits, Stabbed, predicates, stab};
 
-/// Coordinates are multiples of one over this.
+/// The denominator of all coordinates: 2²⁰.
 const UNIT: i64 = 1 << 20;
 
-/// A polygon with corners in units of 2⁻²⁰.
+/// Creates a polygon with corners in units of 2⁻²⁰.
 fn polygon(corners: &[[i64; 3]]) -> Polygon {
     let point = |c: &[i64; 3]| {
         let [x, y, z] = c.map(IBig::from);
-        Source::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
+        PointOrigin::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
     };
     Polygon::exact(corners.iter().map(point).collect()).unwrap()
 }
 
-/// The same with corners in units.
+/// Creates a polygon with corners in units of 1.
 fn whole(corners: &[[f64; 3]]) -> Polygon {
     let scaled: Vec<[i64; 3]> = corners
         .iter()
@@ -29,7 +29,7 @@ fn whole(corners: &[[f64; 3]]) -> Polygon {
     polygon(&scaled)
 }
 
-/// A rectangle across an axis: its place, and its range along the next two axes.
+/// Creates a rectangle across an axis from its level and its range along the next two axes.
 fn rectangle(axis: usize, at: f64, u: [f64; 2], v: [f64; 2]) -> Polygon {
     let corner = |i: usize, j: usize| {
         let mut p = [at; 3];
@@ -40,8 +40,8 @@ fn rectangle(axis: usize, at: f64, u: [f64; 2], v: [f64; 2]) -> Polygon {
     whole(&[corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)])
 }
 
-/// Whether the line through two points passes strictly through each polygon, in order.
-fn stabs(portals: &[Polygon], [p, q]: [&Source; 2]) -> bool {
+/// Returns true if the line through two points passes strictly through each polygon, in order.
+fn stabs(portals: &[Polygon], [p, q]: [&PointOrigin; 2]) -> bool {
     let [a, b] = [p, q].map(predicates::integers);
     let mut before: Option<(IBig, IBig)> = None;
     for portal in portals {
@@ -76,9 +76,9 @@ fn stabs(portals: &[Polygon], [p, q]: [&Source; 2]) -> bool {
     true
 }
 
-/// Whether a sequence can be stabbed; a line that is found is checked.
+/// Returns true if a line stabs the sequence, and checks the line that was found.
 fn state(portals: &[Polygon]) -> bool {
-    match stab(portals, &Limits::default(), &|| false).0 {
+    match stab(portals, &QueryLimits::default(), &|| false).0 {
         Stabbed::Line(line) => {
             assert!(
                 stabs(portals, [&line[0], &line[1]]),
@@ -92,7 +92,7 @@ fn state(portals: &[Polygon]) -> bool {
 }
 
 #[test]
-fn three_squares_can_be_stabbed_until_the_last_is_moved_by_four() {
+fn line_stabs_three_squares_until_last_moves_by_four() {
     let square = |z: f64, x: i64| {
         let (x, z, one) = (x, (z * UNIT as f64) as i64, UNIT);
         polygon(&[
@@ -113,7 +113,7 @@ fn three_squares_can_be_stabbed_until_the_last_is_moved_by_four() {
         assert_eq!(state(&portals), expected, "{moved}");
         let back: Vec<Polygon> = portals.iter().rev().cloned().collect();
         assert_eq!(state(&back), expected, "backwards");
-        // In another order no line passes them.
+        // In another order, no line passes them.
         assert!(!state(&[
             portals[1].clone(),
             portals[0].clone(),
@@ -123,14 +123,14 @@ fn three_squares_can_be_stabbed_until_the_last_is_moved_by_four() {
 }
 
 #[test]
-fn a_single_polygon_and_two_can_be_stabbed() {
+fn line_stabs_one_or_two_polygons() {
     let one = rectangle(2, 0.0, [0.0, 1.0], [0.0, 1.0]);
     assert!(state(std::slice::from_ref(&one)));
     assert!(state(&[
         one.clone(),
         rectangle(0, 2.0, [3.0, 4.0], [-9.0, -8.0])
     ]));
-    // In one plane.
+    // These polygons are in one plane.
     assert!(!state(&[
         one.clone(),
         rectangle(2, 0.0, [2.0, 3.0], [0.0, 1.0])
@@ -139,21 +139,21 @@ fn a_single_polygon_and_two_can_be_stabbed() {
 }
 
 #[test]
-fn open_hourglasses_may_be_shut_in_space() {
+fn pairwise_stabbed_polygons_may_block_together() {
     let portals = [
         rectangle(2, 0.5, [-0.75, 1.0], [0.0, 1.0]),
         rectangle(0, 1.25, [1.25, 2.0], [1.5, 2.0]),
         rectangle(1, 2.0, [0.5, 1.0], [1.5, 2.0]),
     ];
     assert!(!state(&portals));
-    // Each two of them can be stabbed.
+    // A line stabs each pair of them.
     for (i, j) in [(0, 1), (0, 2), (1, 2)] {
         assert!(state(&[portals[i].clone(), portals[j].clone()]), "{i} {j}");
     }
 }
 
 #[test]
-fn slits_along_a_regulus_light_two_places() {
+fn slits_along_regulus_light_two_places() {
     let e = UNIT >> 7;
     let slit = |z: i64| {
         let y = |x: i64| x * z * UNIT;
@@ -190,8 +190,8 @@ fn slits_along_a_regulus_light_two_places() {
 }
 
 #[test]
-fn doors_at_either_side_hide_the_floor_of_the_fourth_room() {
-    // Rooms at x = 0..5, doors z 0..1 and 2..3 by turns.
+fn alternating_doors_hide_floor_of_fourth_room() {
+    // The rooms are at x = 0..5, with doors alternating between z = 0..1 and z = 2..3.
     let door = |k: usize| {
         let z = if k.is_multiple_of(2) {
             [0.0, 1.0]
@@ -207,10 +207,11 @@ fn doors_at_either_side_hide_the_floor_of_the_fourth_room() {
 }
 
 proptest! {
-    /// Doors around points of a line, across any axis: the line stabs them, however far their planes reach
-    /// through each other.
+    /// Places doors around points of a line, across any axis.
+    ///
+    /// The line stabs them, no matter how far their planes reach through each other.
     #[test]
-    fn doors_around_a_line_are_stabbed_by_some_line(
+    fn line_stabs_doors_around_it(
         direction in prop::array::uniform3(1i64..9),
         doors in prop::collection::vec((1i64..9, 0usize..3, prop::array::uniform4(1i64..30)), 1..14),
         flips in prop::array::uniform3(any::<bool>()),
@@ -235,7 +236,7 @@ proptest! {
 }
 
 fn polygons() -> impl Strategy<Value = Vec<Polygon>> {
-    // Triangles and parallelograms on a grid, one after another along x.
+    // The polygons are triangles and parallelograms on a grid, one after another along x.
     let one = (
         prop::array::uniform3(prop::array::uniform3(-3i64..4)),
         any::<bool>(),
@@ -254,7 +255,7 @@ fn polygons() -> impl Strategy<Value = Vec<Polygon>> {
                 };
                 let exact = |c: &[i64; 3]| {
                     let [x, y, z] = c.map(IBig::from);
-                    Source::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
+                    PointOrigin::Exact(Box::new([x, y, z, IBig::from(UNIT)]))
                 };
                 Polygon::exact(corners.iter().map(exact).collect()).ok()
             })
@@ -265,9 +266,10 @@ fn polygons() -> impl Strategy<Value = Vec<Polygon>> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
-    /// A blocked sequence is stabbed by no line through points of its ends; turned axes change nothing.
+    /// No line through points of the ends stabs a blocked sequence, and turning the axes preserves the
+    /// result.
     #[test]
-    fn what_is_blocked_no_line_stabs(
+    fn no_line_stabs_blocked_sequence(
         portals in polygons(),
         weights in prop::collection::vec(prop::array::uniform6(1u32..200), 60),
     ) {
@@ -278,9 +280,9 @@ proptest! {
         let turned: Vec<Polygon> = portals
             .iter()
             .map(|p| {
-                let turn = |p: &Source| {
+                let turn = |p: &PointOrigin| {
                     let [x, y, z, w] = predicates::integers(p);
-                    Source::Exact(Box::new([y, z, -x, w]))
+                    PointOrigin::Exact(Box::new([y, z, -x, w]))
                 };
                 Polygon::exact(p.points().iter().map(turn).collect()).unwrap()
             })
@@ -295,7 +297,7 @@ proptest! {
                 });
                 // All corners have the same last component.
                 x[3] = &corners[0][3] * IBig::from(sum);
-                Source::Exact(Box::new(x))
+                PointOrigin::Exact(Box::new(x))
             };
             for w in weights {
                 let p = inside(&portals[0], [w[0], w[1], w[2]]);

@@ -1,18 +1,19 @@
-//! The antipenumbra of sequences of polygons: known sequences, counts, and brute force.
+//! Tests of the antipenumbra of sequences of polygons: known sequences, counts, and brute force.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use glam::{DVec3, Quat};
 use proptest::prelude::*;
 use sightline_exact::{
-    Antipenumbra, Limits, NoAntipenumbra, Polygon, Source, Stabbed, Surface, antipenumbra, stab,
+    Antipenumbra, NoAntipenumbra, PointOrigin, Polygon, QueryLimits, Stabbed, Surface,
+    antipenumbra, stab,
 };
 
 fn polygon(corners: &[DVec3]) -> Polygon {
-    Polygon::exact(corners.iter().map(|p| Source::Given(*p)).collect()).unwrap()
+    Polygon::exact(corners.iter().map(|p| PointOrigin::Given(*p)).collect()).unwrap()
 }
 
-/// A regular polygon with rounded corners about an axis, exactly flat: a triangle.
+/// Creates a regular triangle about an axis with rounded corners, which is exactly flat as a triangle.
 fn triangle(centre: DVec3, size: f64, turn: f64, tilt: f64) -> Polygon {
     let turn_by = Quat::from_euler(
         glam::EulerRot::ZYX,
@@ -23,7 +24,7 @@ fn triangle(centre: DVec3, size: f64, turn: f64, tilt: f64) -> Polygon {
     .as_dquat();
     let corner = |k: f64| {
         let angle = std::f64::consts::TAU * k / 3.0;
-        // A grid of 2⁻²⁰, so that exact numbers stay short.
+        // The corners are on a grid of 2⁻²⁰, so that exact numbers stay short.
         ((centre + turn_by * DVec3::new(size * angle.cos(), size * angle.sin(), 0.0)) * 1_048_576.0)
             .round()
             / 1_048_576.0
@@ -33,20 +34,20 @@ fn triangle(centre: DVec3, size: f64, turn: f64, tilt: f64) -> Polygon {
 
 fn found(portals: &[Polygon]) -> Antipenumbra {
     assert!(matches!(
-        stab(portals, &Limits::default(), &|| false).0,
+        stab(portals, &QueryLimits::default(), &|| false).0,
         Stabbed::Line(_)
     ));
-    antipenumbra(portals, &Limits::default()).unwrap()
+    antipenumbra(portals, &QueryLimits::default()).unwrap()
 }
 
 #[test]
-fn two_triangles_have_a_line_for_each_pair_of_corners_and_six_planes_that_bound() {
+fn two_triangles_have_nine_lines_and_six_boundary_planes() {
     let portals = [
         triangle(DVec3::ZERO, 1.0, 0.1, 0.05),
         triangle(DVec3::new(0.1, 0.2, 2.0), 0.8, 0.7, -0.1),
     ];
     let found = found(&portals);
-    // The product of two triangles.
+    // The polytope is the product of two triangles.
     assert_eq!(found.polytope, [9, 18, 15]);
     assert_eq!(found.lines, 9);
     assert_eq!(found.swaths.len(), 18);
@@ -66,9 +67,9 @@ fn two_triangles_have_a_line_for_each_pair_of_corners_and_six_planes_that_bound(
 }
 
 #[test]
-fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
+fn edges_along_hyperbolic_paraboloid_have_its_quadric() {
     let thin = 1.0 / 128.0;
-    // Slits x from 3 to 5, y = xz ± 2⁻⁷ at z = 0, 1, 2.
+    // The slits are x from 3 to 5, y = xz ± 2⁻⁷ at z = 0, 1, 2.
     let slit = |z: f64| {
         let at = |x: f64, by: f64| DVec3::new(x, x * z + by, z);
         polygon(&[at(3.0, -thin), at(5.0, -thin), at(5.0, thin), at(3.0, thin)])
@@ -85,7 +86,7 @@ fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
             }
         })
         .collect();
-    // The lower edges: y = xz − 2⁻⁷, so 2C = 1, 2G = −1, J = −2⁻⁷ up to a factor.
+    // The lower edges have y = xz − 2⁻⁷, so 2C = 1, 2G = −1, J = −2⁻⁷ up to a factor.
     let lower = |edges: &Vec<[usize; 2]>| edges.iter().all(|e| e[1] == 0);
     let (q, _) = quadrics.iter().find(|(_, edges)| lower(edges)).unwrap();
     let scale = 0.5 / q[2];
@@ -101,15 +102,15 @@ fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
 }
 
 #[test]
-fn one_polygon_has_none() {
+fn single_polygon_has_no_antipenumbra() {
     let square = polygon(&[DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y]);
     assert_eq!(
-        antipenumbra(&[square], &Limits::default()),
+        antipenumbra(&[square], &QueryLimits::default()),
         Err(NoAntipenumbra::Single)
     );
 }
 
-/// The sign of a surface at a point.
+/// Evaluates the equation of a surface at a point.
 fn height(surface: &Surface, p: DVec3) -> f64 {
     let DVec3 { x, y, z } = p;
     match surface {
@@ -130,7 +131,7 @@ fn height(surface: &Surface, p: DVec3) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
     #[test]
-    fn counts_are_those_of_simple_polytopes_and_planes_bound_the_light(
+    fn polytopes_are_simple_and_planes_bound_light(
         turns in prop::array::uniform4(0.0f64..6.3),
         tilts in prop::array::uniform4(-0.3f64..0.3),
         offs in prop::array::uniform4((-0.3f64..0.3, -0.3f64..0.3)),
@@ -139,11 +140,11 @@ proptest! {
         let portals: Vec<Polygon> = (0..n)
             .map(|k| triangle(DVec3::new(offs[k].0, offs[k].1, 2.0 * k as f64), 1.0, turns[k], tilts[k]))
             .collect();
-        prop_assume!(matches!(stab(&portals, &Limits::default(), &|| false).0, Stabbed::Line(_)));
-        let found = antipenumbra(&portals, &Limits::default()).unwrap();
+        prop_assume!(matches!(stab(&portals, &QueryLimits::default(), &|| false).0, Stabbed::Line(_)));
+        let found = antipenumbra(&portals, &QueryLimits::default()).unwrap();
         let [v, e, f2] = found.polytope;
-        // In general position five facets meet at a vertex (four in the quotient by the line in which two
-        // planes meet), and the 2-faces follow from the number f of facets.
+        // In general position, five facets meet at a vertex (four in the quotient by the line in which two
+        // planes meet). The number of 2-faces follows from the number f of facets.
         if n == 2 {
             prop_assert_eq!([v, e, f2], [9, 18, 15]);
         } else {
@@ -157,7 +158,7 @@ proptest! {
         prop_assert_eq!(found.swaths.len(), 2 * found.lines);
         let boundary: Vec<_> = found.swaths.iter().filter(|s| s.is_boundary).collect();
         prop_assert!(boundary.len() >= 3);
-        // Beyond the last polygon, no line that stabs is on both sides of a boundary plane.
+        // Beyond the last polygon, stabbing lines are on only one side of each boundary plane.
         let mut random = sightline_numbers::random::SplitMix64::new((turns[0] * 1e6) as u64);
         let mut unit = || random.unit_f64();
         let inside = |p: &Polygon, at: DVec3| {

@@ -1,10 +1,14 @@
 //! Output files: a new file appears complete and synced, or the previous file stays.
 //!
-//! [`NewFile`] writes under a temporary name in the folder of the target. [`NewFile::commit`] syncs the
-//! file, renames it, and syncs the folder, in this order: after a power cut the target is the previous
-//! file or the whole new file, and a committed file stays. Every command and every library function that
-//! writes a file for users goes through this crate. `strace` shows the order in
-//! `tests/tests/output_files.rs`.
+//! [`NewFile`] writes under a temporary name in the folder of the target. [`NewFile::commit`] syncs the file,
+//! renames it, and syncs the folder.
+//!
+//! # Invariants
+//!
+//! - After a power cut the target is the previous file or the whole new file, and a committed file stays. The
+//!   order of sync, rename and sync ensures this; `tests/tests/output_files.rs` records the system calls with
+//!   `strace`.
+//! - Every command and every library function that writes a file for users uses this crate.
 
 use std::fs::{File, Metadata};
 use std::io::{self, BufWriter, Write};
@@ -15,35 +19,40 @@ use tempfile::NamedTempFile;
 /// The access of users to a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Access as to the replaced file, or as the umask of the process permits. A user who may not give
-    /// files away becomes the owner.
+    /// The owner, group and mode of the replaced file, or the mode that the umask permits for a new file. The
+    /// user of this process becomes the owner if the system does not allow it to set another owner.
     Shared,
-    /// Access for the owner only. A replaced file passes its owner on, or [`NewFile::commit`] fails.
+    /// Access for the owner only (mode 0600). The owner of a replaced file stays the owner, or
+    /// [`NewFile::commit`] fails.
     Private,
 }
 
-/// A file under a temporary name. Dropped before [`NewFile::commit`], the file is removed.
+/// An output file under a temporary name. If this value is dropped before [`NewFile::commit`], the temporary
+/// file is removed.
 #[derive(Debug)]
 pub struct NewFile {
     part: BufWriter<NamedTempFile>,
     target: PathBuf,
     access: Access,
-    /// The open folder of the target, for the last sync.
+    /// The open folder of the target, which [`NewFile::commit`] syncs after the rename.
     #[cfg(unix)]
     folder: File,
 }
 
 impl NewFile {
-    /// Begins a file that replaces `path`. A link is followed, and the link stays.
+    /// Creates the temporary file that [`NewFile::commit`] renames to `path`.
+    ///
+    /// If `path` is a symbolic link, `commit` replaces the file to which the link points; the link stays.
     ///
     /// # Errors
-    /// `path` is a folder, a device, a pipe or a link to nothing, or its folder is absent, not writable or,
-    /// on Unix, not readable.
+    /// `path` is a folder, a device, a pipe, the file of standard output or a link to a missing file, or its
+    /// folder is absent, not writable or, on Unix, not readable.
     pub fn begin(path: &Path, access: Access) -> io::Result<Self> {
         let (target, replaces) = resolve(path)?;
         let parent = folder_of(&target);
         let mut builder = tempfile::Builder::new();
-        // The length does not depend on the target's name, which may be as long as the file system permits.
+        // The length of the temporary name does not depend on the target's name, which may be as long as the
+        // file system permits.
         builder.prefix(".sightline-part-").rand_bytes(12);
         #[cfg(unix)]
         if access == Access::Shared && !replaces {
@@ -65,8 +74,8 @@ impl NewFile {
     /// Syncs the file, renames it to its target, and syncs the folder.
     ///
     /// # Errors
-    /// The file cannot be written, synced or renamed: the target is unchanged. Or the folder cannot be
-    /// synced: the target is the new file, as the message states.
+    /// If the file cannot be written, synced or renamed, the target is unchanged. If the folder cannot be
+    /// synced, the target is the new file, as the message states.
     pub fn commit(self) -> io::Result<()> {
         let part = self
             .part
@@ -81,7 +90,7 @@ impl NewFile {
         part.persist(&self.target).map_err(|e| e.error)?;
         #[cfg(unix)]
         match self.folder.sync_all() {
-            // Some network file systems have no such operation; their servers sync a rename.
+            // Some network file systems cannot sync a folder; their servers sync a rename.
             Err(e)
                 if matches!(
                     e.kind(),
@@ -107,7 +116,7 @@ impl Write for NewFile {
     }
 }
 
-/// Writes a whole file with [`Access::Shared`].
+/// Writes `bytes` as the whole content of the file `path`, with [`Access::Shared`].
 ///
 /// # Errors
 /// See [`NewFile::begin`] and [`NewFile::commit`].
@@ -117,7 +126,8 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> io::Result<()> {
     file.commit()
 }
 
-/// Checks that a file can be written, before a command works for its content. The attempt leaves no file.
+/// Checks that the file `path` can be written, before a command computes the content. The check leaves no
+/// file.
 ///
 /// # Errors
 /// See [`NewFile::begin`].
@@ -125,28 +135,29 @@ pub fn check(path: &Path) -> io::Result<()> {
     NewFile::begin(path, Access::Shared).map(drop)
 }
 
-/// Returns the path without links, and true if a file exists there.
+/// Returns the path with symbolic links resolved, and true if a file exists at this path.
 fn resolve(path: &Path) -> io::Result<(PathBuf, bool)> {
     let refuse = |reason: &str| Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
     match std::fs::metadata(path) {
-        // First of all: the link /dev/stdout can name a pipe, which has no path.
-        Ok(before) if before.is_dir() => refuse("is a folder; name a file"),
+        // Check the type of the file first: the link /dev/stdout can point to a pipe, which has no path.
+        Ok(before) if before.is_dir() => refuse("the path is a folder; name a file"),
         Ok(before) if !before.is_file() => {
-            refuse("is not an ordinary file but a device or a pipe; name a file")
+            refuse("the path is not an ordinary file but a device or a pipe; name a file")
         }
         Ok(before) if is_stdout(&before)? => {
-            refuse("is where standard output is redirected to; name another file")
+            refuse("standard output is redirected to this file; name another file")
         }
         Ok(_) => Ok((std::fs::canonicalize(path)?, true)),
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
         Err(_) if path.is_symlink() => {
-            refuse("is a link to nothing; remove the link, or name another file")
+            refuse("the path is a link to a missing file; remove the link, or name another file")
         }
         Err(_) => Ok((path.to_owned(), false)),
     }
 }
 
-/// Returns true if standard output is redirected to this file, whose later lines a replacement would lose.
+/// Returns true if standard output is redirected to this file. A replacement would lose later lines of
+/// output.
 fn is_stdout(file: &Metadata) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -162,22 +173,23 @@ fn is_stdout(file: &Metadata) -> io::Result<bool> {
     }
 }
 
-/// Returns the folder that contains a file.
+/// Returns the folder that contains the file `path`; `.` for a file name without a folder.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent()
         .filter(|p| !p.as_os_str().is_empty())
         .unwrap_or(Path::new("."))
 }
 
-/// Passes owner and group of the replaced file on, and the mode of a shared file.
+/// Copies the owner and group of the replaced file (`before`) to the new file (`file`), and sets the mode:
+/// the mode of the replaced file for [`Access::Shared`], 0600 for [`Access::Private`].
 #[cfg(unix)]
 fn pass_on(before: &Metadata, file: &File, access: Access) -> io::Result<()> {
     use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, fchown};
     let now = file.metadata()?;
     if (now.uid(), now.gid()) != (before.uid(), before.gid()) {
         match fchown(file, Some(before.uid()), Some(before.gid())) {
-            // Only root gives files away, and only to owners that its user namespace has. The user who writes
-            // the file owns it then.
+            // Only root can give a file to another owner, and only to an owner in its user namespace. Without
+            // this right, the user who writes the file remains the owner.
             Err(e)
                 if access == Access::Shared
                     && matches!(
@@ -195,7 +207,7 @@ fn pass_on(before: &Metadata, file: &File, access: Access) -> io::Result<()> {
     file.set_permissions(std::fs::Permissions::from_mode(mode))
 }
 
-/// Does nothing: other systems keep no mode and no owner that the folder does not pass on.
+/// Does nothing: on systems other than Unix, a new file inherits its access rights from the folder.
 #[cfg(not(unix))]
 fn pass_on(_: &Metadata, _: &File, _: Access) -> io::Result<()> {
     Ok(())
@@ -261,7 +273,7 @@ mod tests {
         let link = folder.path().join("link");
         std::os::unix::fs::symlink("nothing", &link).unwrap();
         let dangling = check(&link).unwrap_err().to_string();
-        assert!(dangling.contains("link to nothing"), "{dangling}");
+        assert!(dangling.contains("link to a missing file"), "{dangling}");
         // A pipe has no path, although a link under /proc leads to it.
         let (reader, _writer) = std::io::pipe().unwrap();
         let pipe = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&reader));

@@ -1,62 +1,62 @@
 //! The container of binary glTF: a header, then chunks of JSON, binary data and others.
 //!
-//! Layout: Khronos, "glTF 2.0 Specification", section 4. All numbers are little-endian; the header holds
-//! "glTF", the version 2 and the length of the file, and each chunk its length, its type and its data, which
-//! fill a multiple of four bytes.
+//! Layout: Khronos, "glTF 2.0 Specification", section 4. All numbers are little-endian. The header contains
+//! "glTF", the version 2 and the length of the file. Each chunk consists of its length, its type and its
+//! data, which fill a multiple of four bytes.
 
 use std::io::{self, Write};
 
-/// The first bytes of a file.
+/// The first bytes of a GLB.
 pub const MAGIC: [u8; 4] = *b"glTF";
 /// The type of the first chunk.
 pub const JSON: [u8; 4] = *b"JSON";
-/// The type of the chunk that buffer 0 means.
+/// The type of the chunk that contains buffer 0.
 pub const BINARY: [u8; 4] = *b"BIN\0";
-/// The length of the header in bytes.
+/// The length of the header of a GLB, in bytes.
 const HEADER: usize = 12;
 /// The length of the header of a chunk, in bytes.
 const CHUNK_HEADER: usize = 8;
 
-/// A chunk: its type and its data.
+/// A chunk, given by its type and its data.
 pub type Chunk<'a> = ([u8; 4], &'a [u8]);
 
 /// The fault of bytes that are not a GLB, or of data that do not fit into one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GlbFault {
     /// The file ends within its header.
-    #[error("the file ends within it")]
+    #[error("the file ends within the header")]
     NoHeader,
     /// The file has another version.
-    #[error("its version is {0}, and must be 2")]
+    #[error("the GLB version is {0}, but must be 2")]
     Version(u32),
     /// The file is shorter than its header announces.
-    #[error("it announces {announced} bytes, but the file has {present}")]
+    #[error("the header announces {announced} bytes, but the file has {present}")]
     CutOff {
-        /// The length that the header announces.
+        /// The length of the file that the header announces, in bytes.
         announced: u32,
-        /// The length of the file.
+        /// The length of the file, in bytes.
         present: usize,
     },
     /// A chunk is longer than the rest of the file.
-    #[error("it announces {announced} bytes, but {left} are left")]
+    #[error("the chunk announces {announced} bytes of data, but only {left} bytes follow")]
     ChunkCutOff {
-        /// The number of the chunk.
+        /// The index of the chunk in the file, from 0.
         chunk: usize,
-        /// The length that the chunk announces.
+        /// The length of its data that the chunk announces, in bytes.
         announced: u32,
-        /// The bytes behind the chunk's type.
+        /// The number of bytes of the file after the chunk's type.
         left: usize,
     },
-    /// The first chunk has another type.
-    #[error("it is not the JSON chunk")]
+    /// The first chunk is absent or is not the JSON chunk.
+    #[error("the first chunk of the file is not the JSON chunk")]
     NoJson,
-    /// The length does not fit into the header.
-    #[error("it would have {0} bytes, and a GLB has at most 4 294 967 295")]
+    /// The length of the file does not fit in the header.
+    #[error("the file would have {0} bytes, but a GLB has at most 4 294 967 295")]
     TooLong(u64),
 }
 
 impl GlbFault {
-    /// Returns the name of the part that is at fault.
+    /// Returns the name of the faulty header or chunk, such as `GLB chunk 1`.
     pub fn element(&self) -> String {
         match self {
             Self::ChunkCutOff { chunk, .. } => format!("GLB chunk {chunk}"),
@@ -66,16 +66,16 @@ impl GlbFault {
     }
 }
 
-/// Returns true if a file begins as a GLB.
+/// Returns true if `bytes` begin with the magic number of a GLB.
 pub fn is_glb(bytes: &[u8]) -> bool {
     bytes.starts_with(&MAGIC)
 }
 
-/// Reads the chunks of a file. Bytes behind the length that the header gives are not part of the file, and
-/// neither are less than eight bytes behind the last chunk.
+/// Returns the chunks of a GLB. Ignores bytes beyond the length that the header announces, and a rest of
+/// fewer than eight bytes after the last chunk.
 ///
 /// # Errors
-/// [`GlbFault`] when the header or a chunk is cut off, or the first chunk is not JSON.
+/// [`GlbFault`] if the header or a chunk is cut off, or if the first chunk is not JSON.
 pub fn chunks(bytes: &[u8]) -> Result<Vec<Chunk<'_>>, GlbFault> {
     let chunks: Vec<Chunk<'_>> = walk(bytes)?.collect::<Result<_, _>>()?;
     match chunks.first() {
@@ -84,7 +84,8 @@ pub fn chunks(bytes: &[u8]) -> Result<Vec<Chunk<'_>>, GlbFault> {
     }
 }
 
-/// Reads the JSON of a file, and its binary chunk if it is the second one, without memory for further chunks.
+/// Returns the JSON of a GLB, and its second chunk if this chunk is the binary chunk. Checks the lengths of
+/// further chunks without allocating memory.
 ///
 /// # Errors
 /// The errors of [`chunks`].
@@ -99,7 +100,7 @@ pub fn document(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), GlbFault> {
     }
 }
 
-/// Checks the header of a file and returns its chunks one after another, up to the first fault.
+/// Checks the header of a GLB, and returns an iterator of its chunks that ends after the first fault.
 fn walk(bytes: &[u8]) -> Result<impl Iterator<Item = Result<Chunk<'_>, GlbFault>>, GlbFault> {
     let word = |at: usize| {
         let word = bytes.get(at..)?.first_chunk::<4>()?;
@@ -128,18 +129,18 @@ fn walk(bytes: &[u8]) -> Result<impl Iterator<Item = Result<Chunk<'_>, GlbFault>
             announced,
             left: bytes.len() - start,
         };
-        // A fault ends the walk.
+        // A fault ends the iteration.
         at = data.and(end).unwrap_or(bytes.len());
         chunk += 1;
         Some(data.map(|data| (kind, data)).ok_or(fault))
     }))
 }
 
-/// Joins chunks into a file. Chunks are filled up to a multiple of four bytes, JSON with spaces and others
+/// Joins chunks into a GLB. Pads each chunk to a multiple of four bytes, JSON with spaces and other chunks
 /// with zeros.
 ///
 /// # Errors
-/// [`GlbFault::TooLong`].
+/// [`GlbFault::TooLong`] if the length does not fit in the header.
 pub fn join(chunks: &[Chunk<'_>]) -> Result<Vec<u8>, GlbFault> {
     let length = length(chunks.iter().map(|(_, data)| data.len() as u64))?;
     let mut out = Vec::with_capacity(length as usize);
@@ -153,10 +154,10 @@ pub fn join(chunks: &[Chunk<'_>]) -> Result<Vec<u8>, GlbFault> {
     Ok(out)
 }
 
-/// Computes the length of a file with chunks of these lengths, in bytes.
+/// Computes the length of a GLB whose chunks have these data lengths, in bytes.
 ///
 /// # Errors
-/// [`GlbFault::TooLong`].
+/// [`GlbFault::TooLong`] if the length does not fit in the header.
 pub fn length(chunks: impl IntoIterator<Item = u64>) -> Result<u32, GlbFault> {
     let padded = |bytes: u64| bytes.saturating_add(3) / 4 * 4;
     let length = chunks.into_iter().fold(HEADER as u64, |sum, bytes| {
@@ -166,8 +167,10 @@ pub fn length(chunks: impl IntoIterator<Item = u64>) -> Result<u32, GlbFault> {
     u32::try_from(length).map_err(|_| GlbFault::TooLong(length))
 }
 
-/// Writes a file up to the data of its binary chunk, of which the caller then writes `binary` bytes, a
-/// multiple of four. `length` is the result of [`length`] for both chunks.
+/// Writes the beginning of a GLB with two chunks: all bytes before the data of its binary chunk.
+///
+/// The caller must then write `binary` bytes, a multiple of four. `length` must be the result of [`length`]
+/// for both chunks.
 ///
 /// # Errors
 /// The errors of `out`.
@@ -200,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn joined_chunks_are_read_back() {
+    fn joined_chunks_round_trip() {
         let file = join(&[(JSON, b"{}"), (BINARY, &[1, 2, 3, 4, 5]), (*b"MORE", &[])]).unwrap();
         let expected: [Chunk<'_>; 3] = [
             (JSON, b"{}  "),
@@ -209,7 +212,7 @@ mod tests {
         ];
         assert_eq!(chunks(&file).unwrap(), expected);
         assert_eq!(length([2, 5, 0]), Ok(file.len() as u32));
-        // Bytes behind the announced length are not part of the file.
+        // Bytes beyond the announced length are not part of the file.
         let longer = [&file[..], b"rest"].concat();
         assert_eq!(chunks(&longer).unwrap(), expected);
         assert_eq!(

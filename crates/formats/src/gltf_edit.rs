@@ -1,6 +1,6 @@
-//! A glTF or GLB file to which an extension is added. All of its JSON stays as it is, character by
-//! character, except for the members that name the extension and its data, so what other programs wrote
-//! there survives.
+//! Editor that adds an extension to a glTF or GLB file. The JSON stays unchanged, character by character,
+//! except for the members that name the extension and its data. So the editor preserves the data of other
+//! programs.
 
 use std::ops::Range;
 
@@ -9,31 +9,31 @@ use serde_json::{Value, json};
 
 use crate::glb::{self, BINARY, Chunk, GlbFault, JSON};
 
-/// Why an extension cannot be added.
+/// The reason why an extension cannot be added.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum GltfError {
-    /// The file is damaged.
-    #[error("{0}; export it again from the program that made it")]
+    /// The file is damaged. The text names the fault.
+    #[error("{0}; export the file again from the program that created it")]
     Broken(&'static str),
-    /// The container is damaged.
-    #[error("{element}: {0}; export it again from the program that made it", element = .0.element())]
+    /// The header or a chunk of the GLB is damaged.
+    #[error("{element}: {0}; export the file again from the program that created it", element = .0.element())]
     Container(GlbFault),
-    /// The extension is there.
-    #[error("it has the extension {0} already; name the file without it")]
+    /// The file already has the extension.
+    #[error("the file already has the extension {0}; name a file without this extension")]
     There(&'static str),
-    /// A GLB file cannot be that long.
-    #[error("with the extension it would be longer than the 4 GiB of a GLB")]
+    /// The file would be too long for a GLB.
+    #[error("with the extension, the file would be longer than 4 GiB, the limit of a GLB")]
     TooLarge,
 }
 
-/// A file in its parts.
+/// A glTF or GLB file, split into its JSON and its other chunks.
 pub struct GltfFile<'a> {
     json: &'a str,
-    /// The chunks of a GLB after its JSON: their types and bytes. `None` for a file that is JSON.
+    /// The chunks of a GLB after its JSON. `None` for a glTF file, which consists of JSON only.
     chunks: Option<Vec<Chunk<'a>>>,
 }
 
-/// Bytes for an extension, which become consecutive buffer views of the binary chunk.
+/// The binary data of an extension, which become consecutive buffer views of the binary chunk.
 #[derive(Default)]
 pub struct Added {
     bytes: Vec<u8>,
@@ -41,7 +41,7 @@ pub struct Added {
 }
 
 impl Added {
-    /// Adds a buffer view.
+    /// Appends `bytes` as a new buffer view, at an offset that is a multiple of four.
     pub fn push(&mut self, bytes: impl IntoIterator<Item = u8>) {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let start = self.bytes.len();
@@ -49,14 +49,14 @@ impl Added {
         self.views.push(start..self.bytes.len());
     }
 
-    /// The number of bytes.
+    /// Returns the number of bytes of all buffer views, including padding.
     pub fn size(&self) -> usize {
         self.bytes.len()
     }
 }
 
 impl<'a> GltfFile<'a> {
-    /// The parts of a file.
+    /// Splits a file into its JSON and its other chunks.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, GltfError> {
         if !glb::is_glb(bytes) {
             return Ok(Self {
@@ -72,22 +72,23 @@ impl<'a> GltfFile<'a> {
         })
     }
 
-    /// Whether it is a GLB.
+    /// Returns true if the file is a GLB.
     pub fn is_glb(&self) -> bool {
         self.chunks.is_some()
     }
 
-    /// Whether buffer views can be added: to a GLB with a buffer in its binary chunk.
+    /// Returns true if buffer views can be added, which requires a GLB with a buffer in its binary chunk.
     pub fn takes_views(&self) -> Result<bool, GltfError> {
-        Ok(self.binary_buffer(&Members::of(self.json)?)?.is_some())
+        Ok(self.binary_buffer(&Members::parse(self.json)?)?.is_some())
     }
 
-    /// The address of a file that it needs beside itself, if there is one.
+    /// Returns the URI of the first external file that a buffer or image refers to, or `None` if the file
+    /// needs no external file. Data URIs and URIs with a scheme are ignored.
     pub fn needs(&self) -> Result<Option<String>, GltfError> {
-        let root = Members::of(self.json)?;
+        let root = Members::parse(self.json)?;
         for key in ["buffers", "images"] {
             for item in root.elements(key)? {
-                let uri = Members::of(&self.json[item])?.string("uri");
+                let uri = Members::parse(&self.json[item])?.string("uri");
                 if let Some(uri) =
                     uri.filter(|uri| !uri.starts_with("data:") && !uri.contains("://"))
                 {
@@ -98,17 +99,18 @@ impl<'a> GltfFile<'a> {
         Ok(None)
     }
 
-    /// The file with an extension of the root. `extension` makes its value from the index of the first of
-    /// the added buffer views.
+    /// Returns the bytes of the file with the extension `name` added to its root object.
+    ///
+    /// `extension` creates the extension's value from the index of the first added buffer view.
     pub fn with(
         &self,
         name: &'static str,
         added: &Added,
         extension: impl FnOnce(usize) -> Value,
     ) -> Result<Vec<u8>, GltfError> {
-        let root = Members::of(self.json)?;
+        let root = Members::parse(self.json)?;
         if let Some(of) = root.get("extensions")
-            && Members::of(&self.json[of])?.get(name).is_some()
+            && Members::parse(&self.json[of])?.get(name).is_some()
         {
             return Err(GltfError::There(name));
         }
@@ -126,9 +128,9 @@ impl<'a> GltfFile<'a> {
         edits.append("extensionsUsed", ['[', ']'], &json!(name).to_string());
         let mut binary = None;
         if !added.views.is_empty() {
-            let (length, start) = self
-                .binary_buffer(&root)?
-                .ok_or(GltfError::Broken("it has no buffer in a binary chunk"))?;
+            let (length, start) = self.binary_buffer(&root)?.ok_or(GltfError::Broken(
+                "the file has no buffer in a binary chunk",
+            ))?;
             edits
                 .all
                 .push((length, (start + added.bytes.len()).to_string()));
@@ -143,7 +145,10 @@ impl<'a> GltfFile<'a> {
         self.join(&edits.apply(), binary, &added.bytes)
     }
 
-    /// Of the buffer that is the binary chunk: where its length stands, and where bytes can be added.
+    /// Returns the byte range of the `byteLength` of buffer 0 in the JSON, and the offset in the binary chunk
+    /// at which bytes can be appended.
+    ///
+    /// Returns `None` if buffer 0 is not in the binary chunk.
     fn binary_buffer(
         &self,
         root: &Members<'_>,
@@ -154,7 +159,7 @@ impl<'a> GltfFile<'a> {
         let Some(first) = root.elements("buffers")?.into_iter().next() else {
             return Ok(None);
         };
-        let buffer = Members::of(&self.json[first.clone()])?;
+        let buffer = Members::parse(&self.json[first.clone()])?;
         if buffer.get("uri").is_some() {
             return Ok(None);
         }
@@ -165,7 +170,9 @@ impl<'a> GltfFile<'a> {
         Ok(Some((length, bytes.len().next_multiple_of(4))))
     }
 
-    /// The bytes of the file with other JSON, and with more at a place of its binary chunk.
+    /// Returns the bytes of the file with `json` in place of its JSON.
+    ///
+    /// If `binary` is an offset, the binary chunk ends at this offset and `added` follows.
     fn join(&self, json: &str, binary: Option<usize>, added: &[u8]) -> Result<Vec<u8>, GltfError> {
         let Some(chunks) = &self.chunks else {
             return Ok(json.as_bytes().to_vec());
@@ -185,21 +192,22 @@ impl<'a> GltfFile<'a> {
     }
 }
 
-/// The text of JSON, without what may stand around it.
+/// Returns the JSON text in `bytes` without a byte order mark and without surrounding white space.
 fn text(bytes: &[u8]) -> Result<&str, GltfError> {
-    let text =
-        std::str::from_utf8(bytes).map_err(|_| GltfError::Broken("its JSON is not UTF-8"))?;
+    let text = std::str::from_utf8(bytes)
+        .map_err(|_| GltfError::Broken("the JSON of the file is not UTF-8"))?;
     Ok(text.trim_start_matches('\u{feff}').trim())
 }
 
-/// The members of an object in JSON, and where their values stand.
+/// The members of a JSON object, and the byte ranges of their values in the text.
 struct Members<'a> {
     text: &'a str,
     all: Vec<(String, Range<usize>)>,
 }
 
 impl<'a> Members<'a> {
-    fn of(text: &'a str) -> Result<Self, GltfError> {
+    /// Parses the text of a JSON object.
+    fn parse(text: &'a str) -> Result<Self, GltfError> {
         let all = items(text, ['{', '}'], |at| {
             let (key, end) = value::<String>(text, at)?;
             let colon = blank(text, end);
@@ -208,7 +216,7 @@ impl<'a> Members<'a> {
         Ok(Self {
             text,
             all: all.ok_or(GltfError::Broken(
-                "its JSON has something else for an object",
+                "the JSON of the file has another value in place of an object",
             ))?,
         })
     }
@@ -224,14 +232,15 @@ impl<'a> Members<'a> {
         serde_json::from_str(&self.text[self.get(key)?]).ok()
     }
 
-    /// Where the elements of an array stand; none where there is no such member.
+    /// Returns the byte ranges of the elements of the array `key`, or an empty list if the object has no
+    /// member `key`.
     fn elements(&self, key: &str) -> Result<Vec<Range<usize>>, GltfError> {
         let Some(of) = self.get(key) else {
             return Ok(Vec::new());
         };
         let all = items(&self.text[of.clone()], ['[', ']'], |at| Some(((), at)));
         let all = all.ok_or(GltfError::Broken(
-            "its JSON has something else for an array",
+            "the JSON of the file has another value in place of an array",
         ))?;
         Ok(all
             .into_iter()
@@ -240,7 +249,10 @@ impl<'a> Members<'a> {
     }
 }
 
-/// The items between two brackets: what `head` reads before the value and the end of that, and the value.
+/// Returns the items between two brackets, each as the result of `head` and the byte range of its value.
+///
+/// `head` parses the text before a value, such as a key, and returns the offset after this text. The result
+/// is `None` if `text` does not have this form.
 fn items<T>(
     text: &str,
     brackets: [char; 2],
@@ -271,26 +283,26 @@ fn items<T>(
     }
 }
 
-/// The value that begins at a place of JSON, and where it ends.
+/// Parses the JSON value at offset `at` of `text`, and returns the value with the offset of its end.
 fn value<T: DeserializeOwned>(text: &str, at: usize) -> Option<(T, usize)> {
     let mut values = serde_json::Deserializer::from_str(text.get(at..)?).into_iter::<T>();
     let value = values.next()?.ok()?;
     Some((value, at + values.byte_offset()))
 }
 
-/// The first place from `at` on that is no white space.
+/// Returns the offset of the first character at or after `at` that is not white space.
 fn blank(text: &str, at: usize) -> usize {
     text.len() - text[at..].trim_start_matches([' ', '\t', '\r', '\n']).len()
 }
 
-/// Changes of places of an object in JSON.
+/// The pending replacements of byte ranges in the text of a JSON object.
 struct Edits<'a> {
     root: &'a Members<'a>,
     all: Vec<(Range<usize>, String)>,
 }
 
 impl Edits<'_> {
-    /// Adds to the object or array of a member, or adds the member.
+    /// Appends `item` to the object or array of the member `key`, or adds the member with this item.
     fn append(&mut self, key: &str, [open, close]: [char; 2], item: &str) {
         let edit = match self.root.get(key) {
             Some(Range { start, end }) => {
@@ -300,7 +312,7 @@ impl Edits<'_> {
                     format!("{}{item}", if empty { "" } else { "," }),
                 )
             }
-            // The root is never empty: every glTF names its version.
+            // The root is never empty, because every glTF names its version.
             None => (1..1, format!("{}:{open}{item}{close},", json!(key))),
         };
         self.all.push(edit);
@@ -342,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_else_changes() {
+    fn with_changes_only_extension_members() {
         let json = "{ \"a\" : 1.50, \"extensions\":{ \"Y\":{} } ,\"extensionsUsed\":[\"Y\"], \"b\":\"},]\" }";
         let out = String::from_utf8(with(json.as_bytes(), &[]).unwrap()).unwrap();
         let expected = "{ \"a\" : 1.50, \"extensions\":{ \"Y\":{} ,\"X\":{\"view\":0}} \
@@ -355,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_go_to_the_end_of_the_binary_chunk() {
+    fn with_appends_bytes_to_binary_chunk() {
         let json = "{\"buffers\":[ { \"byteLength\" : 5 } ],\"bufferViews\":[{}]}";
         let file = glb(json, &[(BINARY, &[9; 5]), (*b"MORE", b"more")]);
         let out = with(&file, &[3, 4]).unwrap();
@@ -379,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_binary_chunk_there_is_no_place_for_bytes() {
+    fn file_without_binary_chunk_rejects_bytes() {
         let beside = glb("{\"buffers\":[{\"uri\":\"a.bin\"}]}", &[(BINARY, &[0; 4])]);
         for file in [
             b"{\"asset\":{}}".to_vec(),
@@ -393,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_changed_is_refused() {
+    fn rejects_damaged_files() {
         let broken = |bytes: &[u8]| {
             matches!(
                 with(bytes, &[1]).unwrap_err(),
@@ -418,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn files_beside_it_are_found() {
+    fn needs_returns_external_files() {
         let needs = |text: &str| GltfFile::parse(text.as_bytes()).unwrap().needs().unwrap();
         assert_eq!(
             needs("{\"buffers\":[{\"uri\":\"data:,\"}],\"images\":[{\"bufferView\":0}]}"),

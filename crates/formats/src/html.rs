@@ -1,7 +1,7 @@
-//! Text in HTML documents.
+//! Escaping of text in HTML documents.
 
-/// Escapes a text for an HTML document. Control characters, which a document may not hold, become U+FFFD;
-/// line ends and tabs stay.
+/// Escapes a text for an HTML document. Replaces control characters, which a document must not contain, by
+/// U+FFFD. Keeps line ends and tabs.
 pub fn escaped(text: &str) -> String {
     let is_forbidden = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     text.replace(is_forbidden, "\u{fffd}")
@@ -16,7 +16,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_ends_no_element_and_has_no_control_characters() {
+    fn escaped_text_has_no_markup_and_no_control_characters() {
         assert_eq!(escaped("<b>\"&"), "&lt;b&gt;&quot;&amp;");
         assert_eq!(
             escaped("a\u{1b}[31m\u{0}\u{85}\tb"),

@@ -1,7 +1,22 @@
-//! The bytes of files that others define: GLB and its chunks, PLY's header and numbers, text in HTML, and
-//! changes of glTF that keep the rest of a document as it is.
+//! Readers and writers of file formats of other projects: GLB, glTF, PLY, and text in HTML.
 //!
-//! This crate does not depend on scenes. Its errors name the fault; callers add the file and the remedy.
+//! This crate does not depend on scenes. `crates/scene` reads scenes with this crate, and other crates write
+//! files with it.
+//!
+//! # Modules
+//!
+//! - `glb`: the container of binary glTF: a header, then chunks of JSON and binary data.
+//! - `gltf_edit`: an editor that adds an extension to a glTF file. All other characters of the JSON stay
+//!   unchanged.
+//! - `ply`: the header of a PLY file, and the numbers after the header as text or as bytes.
+//! - `html`: escaping of text in HTML documents.
+//!
+//! # Invariants
+//!
+//! - Input is not trusted: functions check lengths and offsets, return errors, and do not panic.
+//! - Errors name the fault; callers add the file and, except for `gltf_edit`, the remedy.
+//!
+//! # Example
 //!
 //! ```
 //! use sightline_formats::glb;

@@ -1,41 +1,45 @@
-//! A bounding volume hierarchy that returns all triangles a segment may meet, and possibly more.
+//! A bounding volume hierarchy that returns all triangles that a segment may meet, and possibly more.
 //!
-//! Every candidate is decided exactly afterwards, so the boxes only have to be large enough. The tests use no
-//! division: a segment misses a box when one of six axes separates the two by more than a slack that covers
-//! all rounding errors.
+//! Callers test every candidate exactly, so the boxes only have to be large enough. The tests use no
+//! division. A segment misses a box if one of six axes separates the two by more than a slack that covers all
+//! rounding errors.
 //!
-//! It shares no builder with the hierarchy of the crate sampling, because nearly every rule differs: the axes
-//! tried, the precision of costs, leaves, depth, uneven splits and the layout of nodes.
+//! The builder is separate from the builder of the hierarchy in the crate `sampling`, because nearly every
+//! rule differs: the axes tried, the precision of costs, leaves, depth, uneven splits and the layout of
+//! nodes.
 
 use glam::{DVec3, Vec3};
 use sightline_numbers::Aabb;
 
-/// Most triangles in a leaf.
+/// The maximum number of items in a leaf.
 const LEAF: usize = 4;
-/// From this depth on nodes are split in the middle at any cost, so that at most 32 levels follow.
+/// The depth from which the builder splits the items of a node into halves, at any cost.
+///
+/// At most 32 more levels follow.
 const DEEP: u32 = 48;
-/// Capacity of a traversal's stack: one node for each level, and the next.
+/// The capacity of a traversal's stack, in nodes: one node per level, and the next node.
 const WAITING: usize = 96;
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     min: Vec3,
-    /// First child, or first triangle of a leaf. The second child follows the first.
+    /// For an inner node, the index of its first child; the second child follows. For a leaf, the index in
+    /// `order` of its first item.
     first: u32,
     max: Vec3,
-    /// Triangles of a leaf; 0 for an inner node.
+    /// The number of items of a leaf; 0 for an inner node.
     count: u32,
 }
 
 /// The children of a node, or the items of a leaf.
 pub enum Below<'a> {
-    /// Two nodes.
+    /// The node indices of the two children of an inner node.
     Nodes([u32; 2]),
-    /// Items of a leaf.
+    /// The items of a leaf.
     Items(&'a [u32]),
 }
 
-/// A hierarchy over boxes, numbered as given.
+/// A hierarchy over boxes. An item is the index of its box in the list of boxes.
 pub struct Bvh {
     nodes: Vec<Node>,
     order: Vec<u32>,
@@ -43,7 +47,7 @@ pub struct Bvh {
 }
 
 impl Bvh {
-    /// Builds a hierarchy over the boxes of the items in `order`.
+    /// Builds a hierarchy over the items in `order`, which are indices of `boxes`.
     pub fn new(boxes: Vec<Aabb>, mut order: Vec<u32>) -> Self {
         let mut nodes = Vec::with_capacity(order.len() / 2 + 1);
         let bounds = |items: &[u32]| {
@@ -86,17 +90,17 @@ impl Bvh {
         }
     }
 
-    /// Number of nodes; the root is 0, and children come after their parents.
+    /// Returns the number of nodes. The root is node 0, and children come after their parents.
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Whether there is no item.
+    /// Returns true if the hierarchy contains no items.
     pub fn is_empty(&self) -> bool {
         self.order.is_empty()
     }
 
-    /// A node's box.
+    /// Returns the box of a node.
     pub fn bounds(&self, node: u32) -> Aabb {
         let n = &self.nodes[node as usize];
         Aabb {
@@ -105,7 +109,7 @@ impl Bvh {
         }
     }
 
-    /// A node's children, or the items of a leaf.
+    /// Returns the children of an inner node, or the items of a leaf. The hierarchy must contain an item.
     pub fn below(&self, node: u32) -> Below<'_> {
         let n = &self.nodes[node as usize];
         if n.count > 0 {
@@ -115,7 +119,7 @@ impl Bvh {
         }
     }
 
-    /// Appends every item whose box has a point in common with a box.
+    /// Appends to `out` every item whose box shares a point with the box from `min` to `max`.
     pub fn in_box(&self, min: Vec3, max: Vec3, out: &mut Vec<u32>) {
         let apart = |lo: Vec3, hi: Vec3| lo.cmpgt(max).any() || hi.cmplt(min).any();
         let mut open = [0u32; WAITING];
@@ -139,8 +143,9 @@ impl Bvh {
         }
     }
 
-    /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be
-    /// off.
+    /// Appends to `out` every item whose box the segment from `p` to `q` may touch.
+    ///
+    /// `slack` is the maximum error of each coordinate of `p` and `q`.
     pub fn along(&self, p: DVec3, q: DVec3, slack: f64, out: &mut Vec<u32>) {
         let segment = Segment::new(p, q, slack);
         let mut open = [0u32; WAITING];
@@ -170,9 +175,10 @@ impl Bvh {
 }
 
 impl Bvh {
-    /// Calls `hit` for the items whose boxes a ray meets, nearer nodes first. `hit` receives the end of the
-    /// ray, in lengths of its direction, and returns the new end. Rounding may leave an item out, so the
-    /// results are proposals.
+    /// Calls `hit` for all items of the leaves whose boxes the ray meets before its end, nearer leaves first.
+    ///
+    /// `hit` receives an item and the current end of the ray, as a multiple of the length of `direction`, and
+    /// returns the new end. Rounding may skip an item, so callers must not rely on a complete result.
     pub fn nearest(&self, origin: DVec3, direction: DVec3, mut hit: impl FnMut(u32, f64) -> f64) {
         let inverse = direction.recip();
         let enter = |n: &Node| {
@@ -214,8 +220,10 @@ impl Bvh {
     }
 }
 
-/// Splits the items at the cheapest of sixteen planes along the widest axis of the centres if `cheapest`,
-/// else in the middle.
+/// Splits the items into two parts and returns the size of the first part.
+///
+/// If `cheapest` is true, the function splits at the plane with the least surface-area cost between 16 bins
+/// along the widest axis of the boxes' centres. Otherwise both parts have the same number of items.
 fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     const BINS: usize = 16;
     let centre = |i: u32| {
@@ -265,7 +273,7 @@ fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
             best = Some((cost, k));
         }
     }
-    // Very uneven splits would make the tree deep; the middle replaces them.
+    // A very uneven split makes the tree deep, so a split into halves replaces this split.
     match best {
         Some((_, k)) => {
             let mut half = 0;
@@ -288,13 +296,16 @@ fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     }
 }
 
-/// A segment by its middle and half its extent.
+/// A segment, stored as its middle and half its extent.
 struct Segment {
     middle: DVec3,
     half: DVec3,
+    /// The magnitudes of the components of `half`.
     size: DVec3,
+    /// The maximum error of each coordinate of the ends.
     slack: f64,
-    turn: f64,
+    /// The largest component of `size`.
+    largest: f64,
 }
 
 impl Segment {
@@ -306,7 +317,7 @@ impl Segment {
             half,
             size,
             slack,
-            turn: size.max_element(),
+            largest: size.max_element(),
         }
     }
 
@@ -324,9 +335,9 @@ impl Segment {
             e.x * self.size.z + e.z * self.size.x,
             e.x * self.size.y + e.y * self.size.x,
         );
-        // Ends that are off by the slack change the half extent by as much; the error is this times the
-        // factors of the half extent in `cross` and `reach`.
-        let slack = self.slack * (4.0 * self.turn + 4.0 * (a.max_element() + e.max_element()));
+        // Ends that are off by the slack change the half extent by as much. So the error of a comparison is
+        // the slack times the factors of the half extent in `cross` and `reach`.
+        let slack = self.slack * (4.0 * self.largest + 4.0 * (a.max_element() + e.max_element()));
         !(cross.cmpgt(reach + DVec3::splat(slack))).any()
     }
 }
@@ -335,10 +346,10 @@ impl Segment {
 mod tests {
     use super::*;
 
-    /// All splits of such thin boxes cost the same. Taking the first plane every time would make the tree a
-    /// chain.
+    /// All splits of these thin boxes cost the same. If `split` chose the first plane every time, the tree
+    /// would become a chain.
     #[test]
-    fn a_tree_of_equal_costs_is_no_chain() {
+    fn tree_of_equal_costs_is_not_chain() {
         let boxes: Vec<Aabb> = (0..20_000)
             .map(|i| {
                 let x = i as f32 * 1e-25;

@@ -1,36 +1,39 @@
-//! Flat convex polygons with corners in single precision, as lights are given: what is one and what is not.
+//! Flat convex polygons with corners in single precision, the shape of area lights.
 //!
-//! The client, the coordinator and the solver ask here, so that none of them takes a light that another
-//! refuses.
+//! The client, the coordinator and the solver use the same check, so that all three accept the same lights.
 
 use glam::DVec3;
 
-/// Most corners of a polygon.
+/// The maximum number of corners of a polygon.
 pub const MOST_CORNERS: usize = 1024;
 
-/// Corners that are no flat convex polygon.
+/// The reason why corners do not form a flat convex polygon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConvexError {
-    /// Fewer than three corners, or too many.
-    #[error("it has {0} corners; give a convex polygon of 3 to {MOST_CORNERS}")]
+    /// The number of corners is below 3 or above [`MOST_CORNERS`].
+    #[error("the polygon has {0} corners; give a convex polygon of 3 to {MOST_CORNERS} corners")]
     Corners(usize),
-    /// A coordinate that is not a number that single precision can hold.
-    #[error("corner {0} is not finite; give three numbers below 3·10³⁸")]
+    /// A coordinate of the corner with this index, from 0, is not finite in single precision.
+    #[error("corner {0} is not finite; give three coordinates with magnitudes below 3·10³⁸")]
     NotFinite(usize),
-    /// Its corners lie on a line.
-    #[error("it has no area; its corners lie on one line or are equal")]
+    /// The corners lie on one line or are equal.
+    #[error("the polygon has no area; give corners that do not all lie on one line")]
     Flat,
-    /// A corner is off the plane of the others.
-    #[error("corner {0} is not in the plane of the others; divide the polygon into flat ones")]
-    Bent(usize),
-    /// It turns both ways, or more than once.
+    /// The corner with this index, from 0, is off the plane of the other corners.
     #[error(
-        "it is not convex at corner {0}; divide it into convex polygons, with corners in order around each"
+        "corner {0} is not in the plane of the other corners; divide the polygon into flat polygons"
+    )]
+    Bent(usize),
+    /// The border turns to the wrong side at the corner with this index, from 0. The index is also 0 if the
+    /// border goes around the polygon more than once.
+    #[error(
+        "the polygon is not convex at corner {0}; divide it into convex polygons, and list the corners of \
+         each in order"
     )]
     NotConvex(usize),
 }
 
-/// A flat convex polygon.
+/// A flat convex polygon whose corners are rounded to single precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convex {
     corners: Vec<DVec3>,
@@ -39,10 +42,10 @@ pub struct Convex {
 }
 
 impl Convex {
-    /// A polygon from its corners, in order around it. They are rounded to single precision.
+    /// Creates a polygon from its corners in order, and rounds them to single precision.
     ///
     /// # Errors
-    /// [`ConvexError`] when it is not flat or not convex.
+    /// [`ConvexError`] if the corners do not form a flat convex polygon.
     pub fn new(corners: &[[f64; 3]]) -> Result<Self, ConvexError> {
         if !(3..=MOST_CORNERS).contains(&corners.len()) {
             return Err(ConvexError::Corners(corners.len()));
@@ -58,7 +61,8 @@ impl Convex {
         let area: DVec3 = (1..n - 1)
             .map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0]))
             .sum();
-        // Half a unit in the last place of single precision at each corner, and as much at those of a scene.
+        // The coordinates of the polygon and of a scene have errors of half a unit in the last place of
+        // single precision.
         let most = corners
             .iter()
             .fold(0.0f64, |m, c| m.max(c.abs().max_element()));
@@ -96,18 +100,21 @@ impl Convex {
         })
     }
 
-    /// The corners, in order, as they were rounded.
+    /// Returns the corners in order, rounded to single precision.
     pub fn corners(&self) -> &[DVec3] {
         &self.corners
     }
 
-    /// The unit normal, about which the corners turn to the left.
+    /// Returns the unit normal. Viewed from the side to which the normal points, the corners run
+    /// counter-clockwise.
     pub fn normal(&self) -> DVec3 {
         self.normal
     }
 
-    /// How far corners may be off the plane because they are rounded to single precision, as those of scenes
-    /// are.
+    /// Returns the maximum distance of a corner from the polygon's plane, in units of the scene.
+    ///
+    /// The rounding of corners to single precision causes this distance. The corners of a scene are rounded
+    /// in the same way.
     pub fn slack(&self) -> f64 {
         self.slack
     }
@@ -119,7 +126,9 @@ mod tests {
 
     use super::*;
 
-    /// Corners on a circle in a plane that is not aligned, `step` of `n` apart.
+    /// Returns `n` corners on a circle in a plane that is not aligned with the axes.
+    ///
+    /// The angle from each corner to the next is `step` of `n` parts of the circle.
     fn ring(n: usize, step: usize) -> Vec<[f64; 3]> {
         let at = |k: usize| {
             let angle = std::f64::consts::TAU * (k * step) as f64 / n as f64;
@@ -130,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn rings_are_convex_and_stars_and_other_shapes_are_not() {
+    fn convex_accepts_rings_and_rejects_other_shapes() {
         for n in [3, 4, 5, 64] {
             let convex = Convex::new(&ring(n, 1)).unwrap();
             assert_eq!(convex.corners().len(), n);
@@ -139,7 +148,7 @@ mod tests {
             assert!(convex.normal().dot(Convex::new(&back).unwrap().normal()) < -0.999_999);
         }
         let refused = |corners: &[[f64; 3]]| Convex::new(corners).unwrap_err();
-        // A star turns to the left at every corner, and twice around.
+        // A star turns to the left at every corner, and goes around twice.
         assert_eq!(refused(&ring(5, 2)), ConvexError::NotConvex(0));
         let mut dented = ring(5, 1);
         dented[2] = [7.0, -2.0, 3.0];

@@ -1,9 +1,9 @@
-//! Exact predicates for `f32` points: a filter in `f64` decides most cases, exact arithmetic the others.
-//! Functions that take `f64` return `None` where they cannot decide.
+//! Exact predicates for `f32` points: a filter in `f64` decides most cases, exact arithmetic the other cases.
+//! Functions that decide with `f64` arguments return `None` if they cannot decide.
 //!
-//! No tolerance decides anything, and nothing overflows or underflows: a finite `f32` is a multiple of 2⁻¹⁴⁹
-//! below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside the range of
-//! `f64`. The methods are those of Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust
+//! No predicate uses a tolerance, and no operation overflows or underflows. A finite `f32` is a multiple of
+//! 2⁻¹⁴⁹ below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside the range
+//! of `f64`. The methods are from Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust
 //! Geometric Predicates", 1997, section 2 (expansions) and section 4 (filters).
 
 use std::cmp::Ordering;
@@ -12,7 +12,9 @@ use glam::{DVec3, Vec3};
 
 use crate::rounding::UNIT as U;
 
-/// Whether the three points lie on one line (or coincide): all three components of (b − a) × (c − a) are 0.
+/// Returns true if the three points lie on one line or coincide.
+///
+/// This is the case if all three components of (b − a) × (c − a) are 0.
 pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
     let zero = |i: usize, j: usize| {
         orient2d_sign([a[i], a[j]], [b[i], b[j]], [c[i], c[j]]) == Ordering::Equal
@@ -22,18 +24,21 @@ pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
 
 /// Error bound of [`orient2d_filtered`], relative to the sum of the magnitudes of its two products.
 ///
-/// Halving this bound gives wrong signs: the tests have points whose sign is wrong by 2.0u.
+/// Half of this bound gives wrong signs: for points in the tests, the sign is wrong although the relative
+/// magnitude is 2.0u.
 const ORIENT2D_BOUND: f64 = 3.001 * U;
 
 /// Error bound of [`orient3d_filtered`], relative to the sum of the magnitudes of its six products.
 ///
-/// Halving this bound gives wrong signs: the tests have points whose sign is wrong by 4.7u.
+/// Half of this bound gives wrong signs: for points in the tests, the sign is wrong although the relative
+/// magnitude is 4.7u.
 const ORIENT3D_BOUND: f64 = 7.001 * U;
 
-/// Returns the sign of (b − a) × (p − a) in the plane: `Greater` when a, b, p turn counter-clockwise.
+/// Returns the sign of (b − a) × (p − a) in the plane: `Greater` if a, b, p turn counter-clockwise.
 pub fn orient2d_sign(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Ordering {
     orient2d_filtered(a, b, p).unwrap_or_else(|| {
-        // Expanded; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
+        // Expand the product of differences; the terms a[0]·a[1] cancel. A product of two f32 has at most 48
+        // bits and is exact.
         let m = |x: f32, y: f32| f64::from(x) * f64::from(y);
         sum_sign([
             m(b[0], p[1]),
@@ -46,7 +51,7 @@ pub fn orient2d_sign(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Ordering {
     })
 }
 
-/// Returns the sign of [`orient2d_sign`] if `f64` decides it.
+/// Returns the result of [`orient2d_sign`], or `None` if rounding errors in `f64` could change the sign.
 ///
 /// Each true difference is the rounded one times 1 + ε with |ε| ≤ u, and each exact product of rounded
 /// differences is off from the rounded product l or r by at most u|l| or u|r|. So the true determinant
@@ -61,9 +66,11 @@ fn orient2d_filtered(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Option<Ordering> 
     (det.abs() > ORIENT2D_BOUND * (l.abs() + r.abs())).then(|| sign(det))
 }
 
-/// Returns the side of the plane through `a`, `b`, `c` on which the point `p` lies: the sign of
-/// (b − a) × (c − a) · (p − a). It is `Greater` on the side the triangle's normal points to, `Equal` on the
-/// plane (or when there is no plane).
+/// Returns the side of the plane through `a`, `b`, `c` on which the point `p` lies.
+///
+/// The result is the sign of (b − a) × (c − a) · (p − a). The result is `Greater` on the side to which the
+/// triangle's normal points. The result is `Equal` if `p` is in the plane or if the three points do not
+/// define a plane.
 pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     let exactly = || {
         let rows = differences(a.as_dvec3(), [b, c, p].map(Vec3::as_dvec3));
@@ -73,22 +80,22 @@ pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     orient3d_filtered(a, b, c, p).unwrap_or_else(exactly)
 }
 
-/// Returns the sign of [`orient3d_sign`] if `f64` decides it.
+/// Returns the result of [`orient3d_sign`], or `None` if rounding errors in `f64` could change the sign.
 ///
-/// Each of the six triple products loses at most 3u of its magnitude to the three rounded differences. It
-/// loses at most u to each of four operations: the product of two factors, the minor, the minor's product
-/// with the third factor, and the first of the two additions. The last addition does not change the sign.
-/// The sum is 7u of the magnitudes, and terms in u². The last thousandth of the bound covers these terms and
-/// the roundings of the computed bound (Shewchuk 1997, section 4.3).
+/// Each of the six triple products loses at most 3u of its magnitude to the three rounded differences. The
+/// product loses at most u to each of four operations: the product of two factors, the minor, the minor's
+/// product with the third factor, and the first of the two additions. The last addition does not change the
+/// sign. The sum is 7u of the magnitudes, and terms in u². The last thousandth of the bound covers these
+/// terms and the roundings of the computed bound (Shewchuk 1997, section 4.3).
 fn orient3d_filtered(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Option<Ordering> {
     let d = |x: Vec3| (x.as_dvec3() - a.as_dvec3()).to_array();
     let (det, magnitude) = det3(d(b), d(c), d(p));
     (det.abs() > ORIENT3D_BOUND * magnitude).then(|| sign(det))
 }
 
-/// [`orient3d_sign`] for coordinates in `f64`.
+/// Computes [`orient3d_sign`] exactly, as the sign of a sum of 48 doubles.
 fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
-    // The determinant of differences is linear in each row, and rows with a twice vanish.
+    // The determinant of differences is linear in each row, and a determinant with two rows `a` is 0.
     let mut terms = [0.0; 48];
     for (chunk, (x, y, z, minus)) in terms.chunks_exact_mut(12).zip([
         (b, c, p, false),
@@ -107,16 +114,17 @@ fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
 /// The relation of a segment to a triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crossing {
-    /// They have no point in common.
+    /// The segment and the triangle have no common point.
     Not,
-    /// They have, or may have, a common point, which may be on the triangle's border or at an end of the
-    /// segment.
+    /// The segment and the triangle have, or may have, a common point on a border.
+    ///
+    /// The border is the triangle's border or an end of the segment.
     Touches,
-    /// The segment passes from one side to the other through the interior.
+    /// The segment passes through the interior of the triangle, and its ends are on different sides.
     Inside,
 }
 
-/// The relation of the segment from `p` to `q` to a triangle with area, decided exactly.
+/// Returns the exact relation of the segment from `p` to `q` to a triangle with area.
 pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
     let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
     if ends[0] == ends[1] && ends[0] != Ordering::Equal {
@@ -128,16 +136,19 @@ pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
         has(Ordering::Less) && has(Ordering::Greater),
         has(Ordering::Equal) || ends.contains(&Ordering::Equal),
     ) {
-        // For a line in the triangle's plane all turns are equal, so this line crosses the plane, outside of
-        // the triangle.
+        // If the line is in the triangle's plane, all turns are `Equal`. So this line crosses the plane, at a
+        // point outside the triangle.
         (true, _) => Crossing::Not,
         (false, true) => Crossing::Touches,
         (false, false) => Crossing::Inside,
     }
 }
 
-/// The only triangle that a segment has a point in common with, if it passes through its interior and that is
-/// certain. Looks at all triangles: a truth for tests.
+/// Returns the index of the only triangle that the segment from `p` to `q` meets, if the segment passes
+/// through the interior of this triangle.
+///
+/// The result is `None` if the segment meets no triangle, several triangles or a border. The function tests
+/// all triangles and serves as ground truth for tests.
 pub fn crossed_alone(triangles: impl Iterator<Item = [Vec3; 3]>, p: Vec3, q: Vec3) -> Option<u32> {
     let mut crossed = None;
     for (id, triangle) in (0..).zip(triangles) {
@@ -150,7 +161,7 @@ pub fn crossed_alone(triangles: impl Iterator<Item = [Vec3; 3]>, p: Vec3, q: Vec
     crossed
 }
 
-/// The differences of some points from one point; `None` where `f64` does not hold them exactly.
+/// Returns the differences `p[i] − a`, or `None` if a difference is not exact in `f64`.
 pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3]; N]> {
     let mut exact = true;
     let mut rows = [[0.0; 3]; N];
@@ -165,17 +176,20 @@ pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3];
     exact.then_some(rows)
 }
 
-/// The sign of the determinant with the given rows; `None` where [`small_integers`] does not hold them.
+/// Returns the sign of the determinant with the given rows.
+///
+/// The result is `None` if [`small_integers`] cannot represent the rows.
 pub fn det3_small(rows: [[f64; 3]; 3]) -> Option<Ordering> {
     let [x, y, z] = small_integers(rows)?.map(|row| row.map(i128::from));
-    // Below 2⁸³, times 2⁴¹, three of them: below 2¹²⁶.
+    // Each minor is below 2⁸³. Times 2⁴¹, the sum of three such products is below 2¹²⁶.
     let minor = |i: usize, j: usize| x[i] * y[j] - x[j] * y[i];
     Some((minor(1, 2) * z[0] + minor(2, 0) * z[1] + minor(0, 1) * z[2]).cmp(&0))
 }
 
-/// Integers below 2 to the power of [`MOST_BITS`] such that the given numbers are these integers times one
-/// power of two. `None` where they do not fit: where one number is far smaller than another, or has bits far
-/// below another's.
+/// Scales the given numbers by one power of two to integers of at most [`MOST_BITS`] bits.
+///
+/// The result is `None` if a number is not finite, or if the numbers do not fit: one number is far smaller
+/// than another, or has bits far below the bits of another.
 pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; N]> {
     let mut parts = [[(0i64, 0i32); 3]; N];
     let mut least = i32::MAX;
@@ -191,19 +205,19 @@ pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; 
         if *m != 0 {
             let up = e - least;
             fits &= up < MOST_BITS && m.unsigned_abs() >> (MOST_BITS - up) == 0;
-            // The shift wraps where the number does not fit, and then the result is not used.
+            // If the number does not fit, the shift wraps and the caller gets `None`.
             *integer = m.wrapping_shl(up as u32);
         }
     }
     fits.then_some(integers)
 }
 
-/// Bits of the integers of [`small_integers`].
+/// The maximum number of bits of the integers of [`small_integers`].
 pub const MOST_BITS: i32 = 41;
-// The sum of three products of three of them fits.
+// The sum of three products of three such integers fits into `i128`.
 const _: () = assert!(3 * MOST_BITS + 3 <= 126);
 
-/// A finite double as `mantissa · 2^exponent`, the mantissa odd (or both 0).
+/// Decomposes a finite double into `mantissa · 2^exponent`; the mantissa is odd, or both are 0.
 pub fn dyadic(x: f64) -> (i64, i32) {
     if x == 0.0 {
         return (0, 0);
@@ -221,7 +235,8 @@ pub fn dyadic(x: f64) -> (i64, i32) {
     (if x < 0.0 { -odd } else { odd }, exponent + zeros)
 }
 
-/// Computes the determinant with the given rows, rounded, and the sum of the magnitudes of its six products.
+/// Computes the determinant with rows `x`, `y`, `z` in rounded `f64`, and the sum of the magnitudes of its
+/// six products.
 pub fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
     let minor = |i: usize, j: usize| {
         let (l, r) = (x[i] * y[j], x[j] * y[i]);
@@ -235,8 +250,10 @@ pub fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
     )
 }
 
-/// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of
-/// three `f32` (72 bits) as its rounded value and the exact error of that.
+/// Returns twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`.
+///
+/// Each of the six products of three `f32` has up to 72 bits. The result contains the rounded
+/// value of each product and the exact error of this value.
 pub fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
     let mut out = [0.0; 12];
     for (pair, (i, j, k, minus)) in out.chunks_exact_mut(2).zip([
@@ -264,10 +281,10 @@ pub fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
     out
 }
 
-/// The sign of the exact sum of doubles, by growing a non-overlapping expansion.
+/// Computes the sign of the exact sum of doubles by growing a non-overlapping expansion.
 ///
-/// The components end up in order of growing magnitude, zeros between them, and do not overlap (Shewchuk
-/// 1997, theorem 10), so the last that is not zero outweighs all others together.
+/// The components are then in order of growing magnitude, with zeros between them, and do not overlap
+/// (Shewchuk 1997, theorem 10). So the last nonzero component has the sign of the sum.
 fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
     let mut expansion = [0.0f64; N];
     for (len, term) in terms.into_iter().enumerate() {
@@ -290,7 +307,7 @@ fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
 /// The exact sum of any number of doubles, for totals over whole meshes.
 #[derive(Default)]
 pub struct Sum {
-    /// Non-overlapping, growing in magnitude, no zeros.
+    /// The components of the sum: non-overlapping, nonzero, growing in magnitude.
     expansion: Vec<f64>,
 }
 
@@ -307,13 +324,13 @@ impl Sum {
         }
     }
 
-    /// The sign of the sum.
+    /// Returns the sign of the sum.
     pub fn sign(&self) -> Ordering {
         sign(self.expansion.last().copied().unwrap_or(0.0))
     }
 }
 
-/// Computes `a + b` as the rounded sum and its exact error (Knuth's two-sum).
+/// Computes `a + b` as the rounded sum and the exact error of this sum (Knuth's two-sum).
 #[inline]
 pub fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
@@ -321,7 +338,7 @@ pub fn two_sum(a: f64, b: f64) -> (f64, f64) {
     (sum, (a - (sum - bb)) + (b - bb))
 }
 
-/// The sign of a double that is not NaN; no value in this module is.
+/// Returns the sign of a double. The double must not be NaN; this module produces no NaN.
 fn sign(x: f64) -> Ordering {
     x.partial_cmp(&0.0).unwrap_or(Ordering::Equal)
 }
@@ -335,7 +352,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nearly_collinear_is_told_from_collinear() {
+    fn collinear_rejects_nearly_collinear_points() {
         let a = Vec3::new(0.1, 0.1, 0.0);
         let c = Vec3::new(0.3, 0.3, 0.0);
         assert!(collinear(a, Vec3::new(0.2, 0.2, 0.0), c));
@@ -349,8 +366,9 @@ mod tests {
     }
 
     #[test]
-    fn a_point_one_unit_off_a_slanted_plane_is_told() {
-        // The plane x + y + z = 3·2²⁴ through points whose differences are as small as f32 allows there.
+    fn orient3d_detects_offset_of_one_unit_from_slanted_plane() {
+        // All points are near the plane x + y + z = 3·2²⁴, and their differences are as small as `f32` allows
+        // at this size.
         let s = 16_777_216.0f32;
         let (a, b, c) = (
             Vec3::splat(s),
@@ -372,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn the_extremes_of_f32_neither_overflow_nor_vanish() {
+    fn orient3d_handles_extremes_of_f32() {
         let (big, small) = (f32::MAX, f32::from_bits(1));
         let tiny = [Vec3::ZERO, Vec3::X * small, Vec3::Y * small];
         assert_eq!(
@@ -399,7 +417,7 @@ mod tests {
         );
     }
 
-    /// Coordinates as integers times a power of two per axis, so that the truth is an integer determinant.
+    /// Generates coordinates as integers, so that the expected sign is the sign of an integer determinant.
     fn wide() -> impl Strategy<Value = [[i64; 3]; 4]> {
         let near = -3i64..4;
         let wide = (-3i64..4, 0u32..22).prop_map(|(m, e)| m << e);
@@ -425,7 +443,7 @@ mod tests {
         }
 
         #[test]
-        fn small_integers_are_used_up_to_their_bits_and_no_further(
+        fn small_integers_accept_exactly_maximum_bits(
             m in prop::array::uniform9(-(1i64 << 41) + 1..1i64 << 41), e in -200i32..200,
         ) {
             let rows = |m: [i64; 9]| [0, 3, 6].map(|k| [0, 1, 2].map(|i| m[k + i] as f64 * 2f64.powi(e)));
@@ -433,14 +451,15 @@ mod tests {
             let minor = |i: usize, j: usize| at(m, 0, i) * at(m, 1, j) - at(m, 0, j) * at(m, 1, i);
             let det = minor(1, 2) * at(m, 2, 0) + minor(2, 0) * at(m, 2, 1) + minor(0, 1) * at(m, 2, 2);
             prop_assert_eq!(det3_small(rows(m)), Some(det.cmp(&0)));
-            // An odd number, which uses the least bit, beside a number with a bit too many.
+            // The test places an odd number, which uses the lowest bit, next to a number with one bit too
+            // many.
             let mut wide = m;
             (wide[0], wide[4]) = (1 << 41, m[4] | 1);
             prop_assert_eq!(det3_small(rows(wide)), None);
         }
 
         #[test]
-        fn the_exact_path_alone_agrees_with_any_bits(bits in prop::array::uniform12(any::<f32>())) {
+        fn orient3d_agrees_with_exact_sum_for_any_bits(bits in prop::array::uniform12(any::<f32>())) {
             prop_assume!(bits.iter().all(|c| c.is_finite()));
             let v: Vec<Vec3> = bits.chunks(3).map(Vec3::from_slice).collect();
             let mut sum = Sum::default();

@@ -1,4 +1,4 @@
-//! The unit of rounding errors, in which the bounds of all filters are given.
+//! The rounding unit in the error bounds of all filters.
 
-/// Half a unit in the last place of 1: the largest relative error of one rounded `f64` operation.
+/// The rounding unit u = 2⁻⁵³: the largest relative error of one rounded `f64` operation.
 pub const UNIT: f64 = f64::EPSILON / 2.0;

@@ -1,5 +1,5 @@
-//! Draws a scene from outside with the set of one view cell: the triangles in the set in colour, the others
-//! grey, the cell as a box.
+//! Draws a scene from outside with the set of one view cell. The triangles of the set are in colour, the
+//! others are grey, and the cell is a box.
 //!
 //! ```sh
 //! cargo run --release -p sightline-measure --example picture -- \
@@ -7,18 +7,18 @@
 //! ```
 //!
 //! The eye is at EX,EY,EZ and looks at TX,TY,TZ, in the scene's units and axes; y is up. The picture is
-//! sampled from a cube of item buffers, so that the eye sees the same triangles as the error measures do.
+//! sampled from a cube of item buffers, so that the eye sees the same triangles as the error measures.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::Vec3;
 use sightline_pvs::Pvs;
-use sightline_trace::embree::CpuBackend;
-use sightline_trace::{Backend as _, CubeSpec, SKY, Strata};
+use sightline_trace::cpu::CpuBackend;
+use sightline_trace::{CubeSpec, SKY, Strata, Tracer as _};
 
 const SIZE: [u32; 2] = [1200, 700];
-/// Pixels of the picture along each axis that are averaged to one.
+/// The number of fine pixels along each axis that are averaged to one pixel.
 const FINE: u32 = 2;
 /// Half the width of the picture at distance 1 from the eye.
 const SPREAD: f32 = 0.62;
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     pvs.visible(cell, &mut set)?;
     let bounds = pvs
         .cell_bounds(cell)
-        .ok_or("the result has no such cell")?
+        .ok_or("the result has no cell with this number")?
         .map(Vec3::from);
     let (eye, target) = (point(eye)?, point(target)?);
 
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let right = forward.cross(Vec3::Y).normalize();
     let up = right.cross(forward);
     let (wide, high) = (SIZE[0] * FINE, SIZE[1] * FINE);
-    // Where a fine pixel's ray leaves the eye, and back.
+    // Convert a fine pixel to its ray from the eye, and a point back to a pixel.
     let scale = 2.0 * SPREAD / wide as f32;
     let ray = |x: u32, y: u32| {
         let u = (x as f32 + 0.5 - wide as f32 / 2.0) * scale;
@@ -146,7 +146,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The fine pixels under a pen at a place.
+/// Returns the fine pixels under a pen at a position.
 fn around(x: f32, y: f32) -> impl Iterator<Item = (u32, u32)> {
     let range = |c: f32| (c - PEN).max(0.0) as u32..=(c + PEN).max(0.0) as u32;
     range(y).flat_map(move |py| range(x).map(move |px| (px, py)))

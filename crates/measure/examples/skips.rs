@@ -1,17 +1,19 @@
-//! Counts what a sampler of a scene could leave out, from a baked result: cells that no viewpoint can be in,
-//! cells that see nothing, triangles that no cell sees, and rounds that cells did not take part in.
+//! Counts the work that a sampler of a scene could skip, from a baked result. The program prints the numbers
+//! of cells inside closed solids, cells that see no triangle, triangles that no cell sees, and rounds that
+//! cells skipped.
 //!
 //! `cargo run --release -p sightline-measure --example skips -- SCENE OUT.pvs`
 
-#![allow(clippy::print_stdout, reason = "it prints what it counted")]
+#![allow(clippy::print_stdout, reason = "the example prints its counts")]
 
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_pvs::Pvs;
 use sightline_scene::topology::Solids;
-use sightline_scene::{Aabb, Scene};
+use sightline_scene::{Aabb, Scene, TriangleId};
 
-/// Any direction that is along no axis: where a ray leaves a free cell says whether a solid is around it.
+/// A direction that is parallel to no axis. The triangle that a ray from a free cell meets shows if a solid
+/// surrounds the cell.
 const OUTWARDS: Vec3 = Vec3::new(0.31, 0.83, 0.463);
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -22,11 +24,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = sightline_scene::load(std::path::Path::new(scene))?;
     let pvs = Pvs::open(result)?;
     if pvs.triangle_count() != scene.len() {
-        return Err("the result is of another scene".into());
+        return Err("the result belongs to another scene; give the scene that was baked".into());
     }
-    let solids = Solids::of(&scene)?;
+    let solids = Solids::find(&scene)?;
     let of_solids = (0..scene.len())
-        .filter(|id| solids.outward(*id).is_some())
+        .filter(|id| solids.outward(TriangleId(*id)).is_some())
         .count();
 
     let mut seen = vec![false; scene.triangles().len()];
@@ -59,8 +61,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         seen.iter().filter(|s| !**s).count()
     );
     println!(
-        "{} cells: {blind} see nothing, {} meet no triangle's box, {enclosed} of these are inside a closed \
-            solid",
+        "{} cells: {blind} see no triangle, {} meet no triangle's box, {enclosed} of these are inside \
+            a closed solid",
         pvs.cells(),
         free.len()
     );
@@ -79,24 +81,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The centre of a cell that no triangle's box meets.
+/// Returns the centre of a cell, or `None` if the box of a triangle meets the cell.
 fn free_centre(scene: &Scene, [min, max]: [Vec3; 2]) -> Option<Vec3> {
     let cell = Aabb { min, max };
     let meets = scene.triangles().iter().any(|t| t.bounds().touches(&cell));
     (!meets).then_some((min + max) * 0.5)
 }
 
-/// Whether the triangle that is seen from `p` along [`OUTWARDS`] shows the inner side of a closed solid. In
-/// single precision: it is asked of points that are away from all triangles.
+/// Returns true if the triangle that is seen from `p` along [`OUTWARDS`] shows the inner side of a closed
+/// solid. Single precision suffices, because the points are away from all triangles.
 fn inside(scene: &Scene, solids: &Solids, p: Vec3) -> bool {
     let hits = (0u32..)
         .zip(scene.triangles())
         .filter_map(|(id, t)| Some((distance(t.v, p)?, id)));
     let nearest = hits.min_by(|a, b| a.0.total_cmp(&b.0));
-    nearest.is_some_and(|(_, id)| solids.exterior(scene, id, p) == Some(false))
+    nearest.is_some_and(|(_, id)| solids.exterior(scene, TriangleId(id), p) == Some(false))
 }
 
-/// How far along [`OUTWARDS`] a triangle is (Möller and Trumbore 1997).
+/// Returns the distance to a triangle along [`OUTWARDS`] (Möller and Trumbore 1997).
 fn distance([a, b, c]: [Vec3; 3], p: Vec3) -> Option<f32> {
     let (e, f) = (b - a, c - a);
     let h = OUTWARDS.cross(f);

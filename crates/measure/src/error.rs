@@ -1,24 +1,24 @@
-//! What can go wrong while measuring.
+//! Errors of measurements.
 
 use std::path::PathBuf;
 
-/// Why nothing was measured.
+/// The reason why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// The caller did not want to go on.
+    /// The caller stopped the measurement.
     #[error("interrupted after {done} of {total} frames")]
     Stopped {
-        /// Frames that are done.
+        /// The number of finished frames.
         done: u64,
-        /// All frames.
+        /// The number of all frames.
         total: u64,
     },
     /// The camera path cannot be read.
     #[error("cannot read the camera path at line {line}: {source}")]
     Read {
-        /// From 1.
+        /// The line number, starting at 1.
         line: u64,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// A line of the camera path is not a viewpoint.
@@ -27,77 +27,79 @@ pub enum MeasureError {
             {{\"position\":[x,y,z]}}"
     )]
     Line {
-        /// From 1.
+        /// The line number, starting at 1.
         line: u64,
-        /// What is wrong with it.
+        /// A description of the fault.
         reason: String,
     },
     /// A viewpoint of the path has no cell.
     #[error(
-        "line {line} of the camera path, {point:?}, is outside the view box {min:?} … {max:?}; move it \
-            inside, or bake with a larger --view-box"
+        "line {line} of the camera path, {point:?}, is outside the view box {min:?} … {max:?}; move the \
+            viewpoint inside, or bake with a larger --view-box"
     )]
     PathOutside {
-        /// From 1.
+        /// The line number, starting at 1.
         line: u64,
-        /// The viewpoint, world space.
+        /// The viewpoint, in world space.
         point: [f32; 3],
-        /// Least corner of the view box.
+        /// The lowest corner of the view box.
         min: [f32; 3],
-        /// Greatest corner of the view box.
+        /// The highest corner of the view box.
         max: [f32; 3],
     },
-    /// A viewpoint handed in has no cell.
-    #[error("viewpoint {frame}, {point:?}, is outside the view box of the result")]
+    /// A viewpoint that the caller passed has no cell.
+    #[error(
+        "viewpoint {frame}, {point:?}, is outside the view box of the result; move the viewpoint inside"
+    )]
     Outside {
-        /// Index of the viewpoint.
+        /// The index of the viewpoint, starting at 0.
         frame: usize,
-        /// The viewpoint, world space.
+        /// The viewpoint, in world space.
         point: [f32; 3],
     },
-    /// There is nothing to measure from.
-    #[error("there are no viewpoints; ask for one at least, or give a path that has some")]
+    /// The list of viewpoints is empty.
+    #[error("there are no viewpoints; request at least one, or give a camera path with viewpoints")]
     NoViewpoints,
-    /// The renderer shows a triangle that the result does not know.
+    /// The renderer shows a triangle that the result does not contain.
     #[error(
-        "the scene shows triangle {id}, the result is of a scene with {triangles}; measure with the scene \
-            that was baked"
+        "the scene shows triangle {id}, but the result is of a scene with {triangles} triangles; measure \
+            with the scene that was baked"
     )]
     OtherScene {
-        /// Seen.
+        /// The triangle in the image.
         id: u32,
-        /// N of the result.
+        /// The number of triangles of the result.
         triangles: u32,
     },
-    /// The renderer's image is not six square faces.
-    #[error("the renderer gave {pixels} pixels for six faces of {resolution}²")]
+    /// The renderer's image does not consist of six square faces.
+    #[error("the renderer returned {pixels} pixels in place of six faces of {resolution}² pixels")]
     ImageSize {
-        /// Side of a face.
+        /// The side of a face, in pixels.
         resolution: u32,
-        /// Given.
+        /// The number of pixels that the renderer returned.
         pixels: usize,
     },
     /// Rendering failed.
     #[error(transparent)]
-    Backend(#[from] sightline_trace::BackendError),
+    Backend(#[from] sightline_trace::TracerError),
     /// A viewpoint is out of range.
     #[error(transparent)]
     Look(#[from] sightline_tetra::LookError),
     /// The result cannot be decoded.
     #[error(transparent)]
     Pvs(#[from] sightline_pvs::PvsError),
-    /// An image cannot be made.
+    /// An image cannot be encoded.
     #[error("the picture cannot be encoded: {reason}")]
     Encode {
-        /// What the encoder said.
+        /// The message of the encoder.
         reason: String,
     },
     /// An image cannot be written.
     #[error("cannot write {path}: {reason}")]
     Image {
-        /// The file or folder.
+        /// The path of the file or folder.
         path: PathBuf,
-        /// What the system or the encoder said.
+        /// The message of the operating system or of the encoder.
         reason: String,
     },
 }

@@ -1,68 +1,70 @@
 //! The error of a result without pixels: the solid angle that its sets miss, by exact sets from points.
 //!
-//! From each viewpoint the exact set with the solid angle of each triangle is compared with the set of the
-//! viewpoint's cell (`sightline_tetra::look`). Item buffers overlook what falls between their pixels; this
-//! does not, so a triangle that is missed by a set is found however narrow the gap is through which it is
-//! seen.
+//! For each viewpoint, the measurement compares the exact set, with the solid angle of each triangle, with
+//! the set of the viewpoint's cell (`sightline_tetra::point_query`). Item buffers overlook triangles that
+//! fall between their pixels. This measurement finds every triangle that a set misses, even if it is seen
+//! through an extremely narrow gap.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
+use sightline_numbers::ids::CellIndex;
 use sightline_pvs::Pvs;
-use sightline_tetra::look::Looker;
+use sightline_tetra::point_query::Looker;
 use sightline_tetra::{Mode, Scratch, View};
 
 use crate::error::MeasureError;
 use crate::report::nearest_rank;
 use crate::viewpoints::Viewpoints;
 
-/// Viewpoints between two reports of progress.
+/// The number of viewpoints between two reports of progress.
 const BATCH: usize = 32;
 
 /// The measures over all viewpoints. Errors are fractions of all directions.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ExactReport {
-    /// That nothing was drawn: solid angles are meant, not pixels.
+    /// True, to mark a report of solid angles, for which no pixels were drawn.
     pub exact: bool,
-    /// Number of viewpoints.
+    /// The number of viewpoints.
     pub frames: u64,
-    /// Mean over the viewpoints of the part of all directions in which a triangle is seen that is not in the
-    /// cell's set.
+    /// The mean over the viewpoints of the fraction of all directions in which a triangle outside the cell's
+    /// set is seen.
     pub mean_error: f64,
-    /// 99th percentile by nearest rank: the ⌈0.99·frames⌉-th smallest error.
+    /// The 99th percentile by nearest rank: the ⌈0.99·frames⌉-th smallest error.
     pub p99_error: f64,
     /// The error of the worst viewpoint.
     pub max_error: f64,
-    /// Number of viewpoints from which a triangle is seen that is not in the set. See-through triangles
-    /// count, but have no solid angle.
+    /// The number of viewpoints from which a triangle outside the set is seen. See-through triangles count,
+    /// but have no solid angle.
     pub frames_with_error: u64,
-    /// Mean over the viewpoints of the number of triangles that are seen.
+    /// The mean over the viewpoints of the number of visible triangles.
     pub mean_seen: f64,
-    /// Mean over the viewpoints of the number of those that are not in the set.
+    /// The mean over the viewpoints of the number of visible triangles that are not in the set.
     pub mean_missed: f64,
-    /// Number of view cells with a viewpoint in them.
+    /// The number of view cells that contain a viewpoint.
     pub cells_visited: u64,
-    /// Number of different triangles seen from any viewpoint.
+    /// The number of different triangles that are visible from a viewpoint.
     pub triangles_seen: u64,
-    /// Number of different triangles that were missed from any.
+    /// The number of different triangles that a set missed.
     pub triangles_missed: u64,
-    /// The viewpoints with the greatest errors, worst first; of equal ones the earlier first.
+    /// The viewpoints with the largest errors, worst first. Of equal errors, the earlier viewpoint comes
+    /// first.
     pub worst: Vec<ExactFrame>,
 }
 
-/// One viewpoint.
+/// The measurement from one viewpoint.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ExactFrame {
-    /// Its index, from 0.
+    /// The index of the viewpoint, from 0.
     pub frame: u64,
-    /// Where it is, world space.
+    /// The position of the viewpoint, in world space.
     pub viewpoint: [f32; 3],
-    /// The view cell that it lies in.
-    pub cell: u32,
-    /// The part of all directions that is missed.
+    /// The view cell that contains the viewpoint.
+    pub cell: CellIndex,
+    /// The fraction of all directions in which a missed triangle is seen.
     pub error: f64,
-    /// The triangles that are seen and not in the set, ascending.
+    /// The visible triangles that are not in the set, ascending.
     pub missed: Vec<u32>,
 }
 
@@ -71,13 +73,13 @@ struct ExactJudgement {
     seen: Vec<u32>,
 }
 
-/// Measures a result from `views`. `looker` has the triangles of the scene that was baked; what is at least
-/// `far` away is not seen. `progress` is told how many viewpoints are done and how many there are, and says
-/// whether to go on. The report depends on neither threads nor time.
+/// Measures a result from `views`. `looker` contains the triangles of the scene that was baked. Geometry at a
+/// distance of `far` or more is not visible. `progress` receives the number of finished viewpoints and of all
+/// viewpoints, and returns true to continue. The report does not depend on threads or time.
 ///
 /// # Errors
-/// [`MeasureError::Stopped`] when `progress` says so, [`MeasureError::Outside`] when a viewpoint has no cell,
-/// and what the result's decoder reports.
+/// [`MeasureError::Stopped`] if `progress` returns false. [`MeasureError::Outside`] if a viewpoint has no
+/// cell. [`MeasureError::NoViewpoints`] if `views` is empty. Also the errors of the result's decoder.
 pub fn measure_exact(
     looker: &Looker<'_>,
     pvs: &Pvs,
@@ -97,12 +99,13 @@ pub fn measure_exact(
     };
     let judge = |(frame, point): (usize, &glam::Vec3)| -> Result<ExactJudgement, MeasureError> {
         let viewpoint = point.to_array();
-        let cell = pvs.find_cell(viewpoint).ok_or(MeasureError::Outside {
+        let cell = pvs.find_cell(viewpoint).map(CellIndex);
+        let cell = cell.ok_or(MeasureError::Outside {
             frame,
             point: viewpoint,
         })?;
         let mut set = Vec::new();
-        pvs.visible(cell, &mut set)?;
+        pvs.visible(cell.0, &mut set)?;
         let mut scratch = pool
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
@@ -145,7 +148,7 @@ pub fn measure_exact(
             let ExactJudgement { frame, seen: ids } = judged?;
             all_seen += ids.len() as u64;
             all_missed += frame.missed.len() as u64;
-            // A result of another scene may have fewer triangles; its digest was compared before.
+            // A result of another scene may have fewer triangles. The caller has compared the digests before.
             ids.iter()
                 .filter_map(|id| seen.get_mut(*id as usize).map(|s| *s = true))
                 .for_each(drop);
@@ -158,7 +161,7 @@ pub fn measure_exact(
             return Err(MeasureError::Stopped { done, total });
         }
     }
-    // Added in the order of the viewpoints, whatever threads did.
+    // Add the errors in the order of the viewpoints, so that the sum does not depend on threads.
     let mean_error = match views.weights.is_empty() {
         true => frames.iter().map(|f| f.error).sum::<f64>() / total as f64,
         false => {

@@ -1,8 +1,8 @@
-//! A frame as a picture: sky black, seen triangles green, wrong ones red.
+//! A frame as a picture: sky black, visible triangles of the set green, wrong triangles red.
 //!
-//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards
-//! and its name in its upper left corner.
-//! Each triangle has its own shade, so that shapes can be told apart.
+//! The picture has three faces by two: +x +y +z above −x −y −z. Each face is as a viewer sees it, with its up
+//! vector upwards and its name in its upper left corner. Each triangle has a separate shade, so that shapes
+//! can be distinguished.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -13,9 +13,9 @@ use sightline_trace::{CubeImage, SKY};
 use crate::error::MeasureError;
 use crate::pixel::is_wrong;
 
-/// Colour of triangles that are in the set, before shading.
+/// The colour of triangles in the set, before shading.
 pub const SEEN: [u8; 3] = [60, 170, 80];
-/// Colour of triangles that are missing from it, before shading.
+/// The colour of triangles that are missing from the set, before shading.
 pub const WRONG: [u8; 3] = [210, 40, 40];
 
 /// Writes a cube image as a PNG of 3n × 2n pixels. `visible` is the cell's set as bits.
@@ -30,14 +30,14 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
-    // Row by row: a whole picture of the largest cubes would take hundreds of megabytes.
+    // Write row by row: a whole picture of the largest cubes would need hundreds of megabytes.
     let mut stream = writer.stream_writer().map_err(|e| failed(e.to_string()))?;
     let mut line = Vec::with_capacity(n as usize * 9);
     for row in 0..2 * n {
         line.clear();
         for column in 0..3 {
-            // Of both faces of an axis, right and up vectors are the same; seen along the positive axis that
-            // is a mirror image, turned round here.
+            // Both faces of an axis have equal right and up vectors. Seen along the positive axis, the image
+            // is a mirror image, which is reversed here.
             let (face, mirrored) = (column * 2 + row / n, row < n);
             let y = n - 1 - row % n;
             for x in 0..n {
@@ -54,7 +54,7 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
     file.commit().map_err(|e| failed(e.to_string()))
 }
 
-/// The glyphs of the faces' names, five rows of five bits each.
+/// The glyphs of the faces' names, with five rows of five bits each.
 const SIGNS: [[u8; 5]; 2] = [
     [0b00100, 0b00100, 0b11111, 0b00100, 0b00100],
     [0b00000, 0b00000, 0b11111, 0b00000, 0b00000],
@@ -65,8 +65,8 @@ const AXES: [[u8; 5]; 3] = [
     [0b11111, 0b00010, 0b00100, 0b01000, 0b11111],
 ];
 
-/// Whether a pixel of a face, counted from its upper left corner, is part of its name. Faces of fewer than 64
-/// pixels have no room for one.
+/// Returns true if a pixel of a face, counted from its upper left corner, is part of the face's name. Faces
+/// of fewer than 64 pixels per side have no room for a name.
 fn is_label(face: u32, x: u32, y: u32, n: u32) -> bool {
     let dot = n / 64;
     let Some((column, row)) = x.checked_div(dot).zip(y.checked_div(dot)) else {
@@ -84,13 +84,13 @@ fn is_label(face: u32, x: u32, y: u32, n: u32) -> bool {
     glyph[row as usize] >> bit & 1 == 1
 }
 
-/// The colour of a pixel that shows `id`.
+/// Returns the colour of a pixel that shows `id`.
 pub(crate) fn colour(id: u32, visible: &[u64]) -> [u8; 3] {
     if id == SKY {
         return [0; 3];
     }
-    // Multiplicative hashing by the golden ratio (Knuth): neighbouring ids get distant shades, 80 to 120
-    // percent.
+    // Multiplicative hashing by the golden ratio (Knuth) gives neighbouring ids distant shades, from 80 to
+    // 120 percent.
     let shade = 80 + (id.wrapping_mul(0x9e37_79b9) >> 16) * 41 / 65536;
     let base = if is_wrong(visible, id) { WRONG } else { SEEN };
     base.map(|c| (u32::from(c) * shade / 100).min(255) as u8)

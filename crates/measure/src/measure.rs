@@ -1,10 +1,11 @@
-//! The measurement itself: frame by frame, compare what is seen with the set of the viewpoint's cell.
+//! The measurement: compares the visible triangles of each frame with the set of the viewpoint's cell.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::ids::CellIndex;
 use sightline_pvs::Pvs;
 use sightline_trace::{CubeImage, CubeRenderer, SKY};
 
@@ -16,26 +17,27 @@ use crate::report::{Durations, Frame, Report, nearest_rank};
 use crate::turntable;
 use crate::viewpoints::Viewpoints;
 
-/// Frames rendered between two reports of progress. Frames are independent, so they are spread over the
-/// threads; what is left of each (ids, counts) is small, and a batch bounds how much of it waits.
+/// The number of frames rendered between two reports of progress. Frames are independent, so all threads
+/// render them. The result of a frame (ids, counts) is small, and a batch bounds the number of waiting
+/// results.
 const BATCH: usize = 32;
 
-/// What else to do.
+/// The options for images and lists of the worst frames.
 #[derive(Clone, Debug)]
-pub struct Options {
-    /// Where to write images of the worst frames; made when missing.
+pub struct WorstFrameOptions {
+    /// The folder for images of the worst frames, which is created if missing. `None` writes no images.
     pub images_dir: Option<PathBuf>,
-    /// The axis that points up, 1 or 2, to write an animation of the worst frame as well: what a camera sees
-    /// there while it turns.
+    /// The axis that points up, 1 for y or 2 for z, for an animation of the worst frame. The animation shows
+    /// the view of a camera that turns at the viewpoint. `None` writes no animation.
     pub turntable: Option<usize>,
-    /// How many of the worst frames to write images of.
+    /// The number of worst frames to write images of. Default: 8.
     pub images: usize,
-    /// How many of the worst frames to list.
+    /// The number of worst frames to list. Default: 8.
     pub worst: usize,
 }
 
-impl Default for Options {
-    /// No images, the eight worst frames.
+impl Default for WorstFrameOptions {
+    /// Returns options without images and with the eight worst frames.
     fn default() -> Self {
         Self {
             images_dir: None,
@@ -46,41 +48,41 @@ impl Default for Options {
     }
 }
 
-/// A cube image, and the see-through triangles in front of it by pixel.
-type Layers = (CubeImage, Vec<(u32, u32)>);
+/// A cube image, and pairs of a pixel's index and a see-through triangle in front of that pixel.
+type CubeLayers = (CubeImage, Vec<(u32, u32)>);
 
-/// What is left of a frame once its image is gone.
+/// The judgement of a frame, which remains when its image is dropped.
 struct FrameJudgement {
-    cell: u32,
+    cell: CellIndex,
     resolution: u32,
     wrong_pixels: u64,
     regions: Regions,
-    /// Ascending.
+    /// The wrong triangles, ascending.
     wrong: Vec<u32>,
-    /// Ascending.
+    /// The visible triangles, ascending.
     seen: Vec<u32>,
 }
 
-/// Measures a result from `views`. `renderer` draws the whole scene that was baked. `progress` is told how
-/// many frames are done and how many there are, and says whether to go on. The report depends on the images
-/// alone, not on threads or time.
+/// Measures a result from `views`. `renderer` must draw the whole scene that was baked. `progress` receives
+/// the number of finished frames and of all frames, and returns true to continue. The report depends only on
+/// the images, and not on threads or time.
 ///
 /// # Errors
-/// [`MeasureError::Stopped`] when `progress` says so, [`MeasureError::Outside`] when a viewpoint has no cell,
-/// [`MeasureError::OtherScene`] when the renderer shows another scene, and what the renderer, the result's
-/// decoder and the file system report.
+/// [`MeasureError::Stopped`] if `progress` returns false. [`MeasureError::Outside`] if a viewpoint has no
+/// cell. [`MeasureError::OtherScene`] if the renderer shows another scene. [`MeasureError::NoViewpoints`] if
+/// `views` is empty. Also the errors of the renderer, of the result's decoder and of the file system.
 pub fn measure(
     renderer: &dyn CubeRenderer,
     pvs: &Pvs,
     views: &Viewpoints,
-    options: &Options,
+    options: &WorstFrameOptions,
     progress: &mut dyn FnMut(u64, u64) -> bool,
 ) -> Result<Report, MeasureError> {
     if views.points.is_empty() {
         return Err(MeasureError::NoViewpoints);
     }
     if let Some(dir) = &options.images_dir {
-        // Before the work, not after it.
+        // Create the folder before the work, so that a failure costs no time.
         std::fs::create_dir_all(dir).map_err(|e| MeasureError::Image {
             path: dir.clone(),
             reason: e.to_string(),
@@ -130,7 +132,7 @@ pub fn measure(
         }
     }
 
-    // Sums of whole pixels: no order of additions can change them.
+    // These are sums of whole pixels, so the order of additions does not affect them.
     let pixels = pixels_of(resolution);
     let mean = |sum: u64, count: u64| {
         if count == 0 {
@@ -139,7 +141,7 @@ pub fn measure(
             sum as f64 / count as f64
         }
     };
-    // With weights the mean is weighted, in the order of the frames; the rest is over frames.
+    // With weights, the mean is weighted, in the order of the frames. The other measures are over frames.
     let weighted = (!views.weights.is_empty()).then(|| {
         let sum: f64 = views.weights.iter().sum();
         let wrong = wrong_counts
@@ -161,7 +163,7 @@ pub fn measure(
             ));
             let (mut image, passed) = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
             let visible = visible_bits(pvs, frame.cell)?;
-            // A missing see-through triangle is drawn in front of what it does not hide.
+            // A missing see-through triangle is drawn in front of the geometry that it does not hide.
             for (pixel, id) in passed.into_iter().filter(|p| is_wrong(&visible, p.1)) {
                 image.ids[pixel as usize] = id;
             }
@@ -189,7 +191,7 @@ pub fn measure(
     })
 }
 
-/// Pixels of a frame.
+/// Returns the number of pixels of a frame.
 fn pixels_of(resolution: u32) -> f64 {
     6.0 * f64::from(resolution) * f64::from(resolution)
 }
@@ -202,9 +204,8 @@ fn judge(
     point: Vec3,
 ) -> Result<FrameJudgement, MeasureError> {
     let point = point.to_array();
-    let cell = pvs
-        .find_cell(point)
-        .ok_or(MeasureError::Outside { frame, point })?;
+    let cell = pvs.find_cell(point).map(CellIndex);
+    let cell = cell.ok_or(MeasureError::Outside { frame, point })?;
     let (image, passed) = render(renderer, pvs, Vec3::from(point))?;
     let visible = visible_bits(pvs, cell)?;
     let mut wrong_pixels: Vec<bool> = image.ids.iter().map(|&id| is_wrong(&visible, id)).collect();
@@ -213,7 +214,7 @@ fn judge(
     }
     let mut seen = image.ids;
     seen.extend(passed.iter().map(|p| p.1));
-    // Neighbouring pixels mostly agree; without repetitions there is little left to sort.
+    // Neighbouring pixels mostly agree, so few ids remain to sort without repetitions.
     seen.dedup();
     seen.sort_unstable();
     seen.dedup();
@@ -232,8 +233,8 @@ fn judge(
     })
 }
 
-/// The layers from a point; every id in them is sky or a triangle of the result.
-fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<Layers, MeasureError> {
+/// Renders the layers from a point. Checks that every id in them is sky or a triangle of the result.
+fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<CubeLayers, MeasureError> {
     let (image, passed) = renderer.layers(point)?;
     let (resolution, pixels) = (image.resolution, image.ids.len());
     if resolution == 0 || pixels as u64 != 6 * u64::from(resolution) * u64::from(resolution) {
@@ -247,8 +248,8 @@ fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<Layers,
     }
 }
 
-fn visible_bits(pvs: &Pvs, cell: u32) -> Result<Vec<u64>, MeasureError> {
+fn visible_bits(pvs: &Pvs, cell: CellIndex) -> Result<Vec<u64>, MeasureError> {
     let mut bits = vec![0u64; (pvs.triangle_count() as usize).div_ceil(64)];
-    pvs.visible_bits(cell, &mut bits)?;
+    pvs.visible_bits(cell.0, &mut bits)?;
     Ok(bits)
 }

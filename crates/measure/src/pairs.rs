@@ -1,5 +1,5 @@
-//! The error of the relation between cells: of random pairs of points that a free segment joins, the fraction
-//! whose cells are no pair.
+//! The error of the relation between cells. The error is a fraction of the random pairs of points that a free
+//! segment connects: the pairs whose cells are not a pair in the result.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -10,30 +10,30 @@ use sightline_trace::sight::{Passed, SightLineTracer};
 
 use crate::error::MeasureError;
 
-/// Pairs that a thread takes at a time.
+/// The number of pairs per work item of a thread.
 const AT_ONCE: u64 = 1 << 14;
 
-/// What was found.
+/// The counts of a measurement of pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PairReport {
-    /// Pairs of points in different cells, one of them at least a possible viewpoint.
+    /// The number of pairs of points in different cells, at least one of them a possible viewpoint.
     pub pairs: u64,
-    /// Those of them that a free segment joins.
+    /// The number of pairs that a free segment connects.
     pub free: u64,
-    /// Those of `free` whose cells are no pair in the result.
+    /// The number of pairs of `free` whose cells are not a pair in the result.
     pub missed: u64,
-    /// `missed` of `free`; 0 when there are none.
+    /// The quotient of `missed` and `free`; 0 if `free` is 0.
     pub missed_fraction: f64,
 }
 
-/// Draws `count` pairs of points, uniform in the view box, and compares. `step` is the least distance from a
-/// see-through triangle to the next search, in world units. `is_place` says where viewpoints can be: a pair
-/// without any does not count. Where lines end at a distance, longer segments do
-/// not count.
+/// Draws `count` pairs of points, uniform in the view box, and compares their cells with the result's
+/// relation. `step` is the minimum distance from a see-through triangle to the next search, in world units.
+/// `is_place` returns true for positions that viewpoints can have; a pair without such a point does not
+/// count. If lines end at a distance, longer segments do not count.
 ///
 /// # Errors
-/// [`MeasureError::Pvs`] when the result does not say which cells see which, [`MeasureError::Backend`] when
-/// the tracer fails.
+/// [`MeasureError::Pvs`] if the result has no cell-to-cell relations. [`MeasureError::Backend`] if the tracer
+/// fails.
 pub fn measure_pairs(
     sight: &SightLineTracer<'_>,
     pvs: &Pvs,
@@ -77,7 +77,7 @@ pub fn measure_pairs(
             sight.trace_each(&mut packets, &mut Passed::default(), step)?;
             for (i, [from, to]) in cells.into_iter().enumerate() {
                 report.pairs += 1;
-                // The direction is the segment, so a free one has no hit before 1.
+                // The direction is the segment, so a free segment has no hit before 1.
                 if packets[i / LANES].distance[i % LANES] >= 1.0 {
                     report.free += 1;
                     report.missed += u64::from(!found.has(from, to));
@@ -86,7 +86,7 @@ pub fn measure_pairs(
             Ok(report)
         })
         .collect::<Result<_, MeasureError>>()?;
-    let sum = |of: fn(&PairReport) -> u64| parts.iter().map(of).sum::<u64>();
+    let sum = |count: fn(&PairReport) -> u64| parts.iter().map(count).sum::<u64>();
     let (pairs, free, missed) = (sum(|r| r.pairs), sum(|r| r.free), sum(|r| r.missed));
     Ok(PairReport {
         pairs,

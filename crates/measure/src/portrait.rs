@@ -1,5 +1,5 @@
-//! A picture of why something is seen or hidden: the scene from one eye, with what is asked about in green,
-//! what hides it in red, and its outline over both.
+//! A picture that shows the reason why a target is visible or hidden. It shows the scene from one eye, with
+//! the target in green, its blockers in red, and the outline of the target over both.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -12,44 +12,44 @@ use crate::camera::Camera;
 use crate::error::MeasureError;
 use crate::images::{SEEN, WRONG};
 
-/// Pixels of the picture.
+/// The size of the picture, in pixels.
 const SIZE: [u32; 2] = [960, 640];
-/// Side of the tile of pixels that a packet of lines covers.
+/// The side of the tile of pixels that a packet of lines covers.
 const TILE: u32 = 4;
 const SKY_COLOUR: [u8; 3] = [236, 244, 252];
 const OTHER: [u8; 3] = [176, 180, 188];
 const OUTLINE: [u8; 3] = [20, 20, 20];
-/// The end of a sight line.
+/// The colour of the mark at the end of a sight line.
 const MARK: [u8; 3] = [250, 220, 0];
-/// Half the side of the square that marks it, in pixels.
+/// Half the side of the square that marks the end of a sight line, in pixels.
 const MARK_SIDE: u32 = 4;
-/// Outlines of more triangles than this would cover the picture.
+/// The maximum number of triangles whose outlines are drawn. More outlines would cover the picture.
 const OUTLINED: usize = 2000;
-/// The picture is this many times as wide as what is asked about, within the limits of half its width at
-/// distance 1.
+/// The width of the picture as a multiple of the width of the target. `SPREADS` contains the minimum and
+/// maximum of half the width of the picture at distance 1.
 const MARGIN: f32 = 2.0;
 const SPREADS: [f32; 2] = [0.02, 1.2];
 
-/// What is drawn.
+/// The contents of the picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Portrait<'a> {
-    /// Where the eye is, in world space.
+    /// The position of the eye, in world space.
     pub eye: Vec3,
-    /// The triangles that are asked about, ascending.
+    /// The triangles of the target, ascending.
     pub target: &'a [u32],
-    /// The triangles that hide it, ascending.
+    /// The triangles that hide the target, ascending.
     pub blockers: &'a [u32],
-    /// The end of a line along which the target is seen.
+    /// The end of a line along which the target is visible; `None` if no such line is known.
     pub seen_at: Option<Vec3>,
     /// The vector that points up in the picture.
     pub vertical: Vec3,
 }
 
 impl Portrait<'_> {
-    /// Returns the picture as a PNG. `step` is as for [`SightLineTracer::trace`].
+    /// Returns the picture as a PNG. `step` has the meaning of the parameter of [`SightLineTracer::trace`].
     ///
     /// # Errors
-    /// [`MeasureError`] when the device fails.
+    /// [`MeasureError`] if the device fails.
     pub fn draw(
         &self,
         scene: &Scene,
@@ -94,8 +94,8 @@ impl Portrait<'_> {
         Ok(out)
     }
 
-    /// A camera that looks at the end of the line or the middle of the target, and has all of the target in
-    /// view if it is not too near.
+    /// Returns a camera that looks at the end of the line or the middle of the target. The camera has all of
+    /// the target in view if the target is not too near.
     fn camera(&self, scene: &Scene) -> Camera {
         let corners = || {
             self.target
@@ -117,7 +117,8 @@ impl Portrait<'_> {
         Camera::new(self.eye, middle - self.eye, self.vertical, SIZE, spread)
     }
 
-    /// The colour of a triangle along a ray. The light is at the eye, so that faces can be told apart.
+    /// Returns the colour of a triangle along a ray. The light is at the eye, so that faces can be
+    /// distinguished.
     fn colour(&self, scene: &Scene, ray: Vec3, id: u32) -> [u8; 3] {
         if id == SKY {
             return SKY_COLOUR;
@@ -134,7 +135,7 @@ impl Portrait<'_> {
     }
 }
 
-/// The triangle in each pixel, row by row from the top, or [`SKY`].
+/// Returns the triangle in each pixel, or [`SKY`], row by row from the top.
 fn traced(
     camera: &Camera,
     sight: &SightLineTracer<'_>,
@@ -170,7 +171,7 @@ fn traced(
     Ok(ids)
 }
 
-/// The pixels of a frame around a pixel.
+/// Returns the pixels of a frame around a pixel.
 fn square(x: u32, y: u32) -> impl Iterator<Item = (u32, u32)> {
     let range = |c: u32| c.saturating_sub(MARK_SIDE)..=c + MARK_SIDE;
     range(y)

@@ -1,25 +1,25 @@
 //! Connected regions of wrong pixels on the surface of a visibility cube (§7.2 of the paper, "CR").
 //!
-//! Pixels touch when they share a side, also across the edge between two faces: the cube is one closed
-//! surface, and a hole does not become two because it lies on an edge. Three pixels that meet at a corner of
-//! the cube touch one another, as they do there.
+//! Pixels touch if they share a side, also across the edge between two faces. The cube is one closed surface,
+//! so an edge does not split a hole into two regions. Three pixels that meet at a corner of the cube touch
+//! one another.
 
-/// Number and size of the regions in one frame.
+/// The number and size of the regions in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Regions {
-    /// How many there are.
+    /// The number of regions.
     pub count: u32,
-    /// Pixels of the largest, 0 when there is none.
+    /// The number of pixels of the largest region; 0 without regions.
     pub largest: u32,
 }
 
-/// Finds the regions among 6·n·n pixels in the order of [`sightline_trace::CubeImage`]. `wrong` has that
-/// length.
+/// Finds the regions among 6·n·n pixels in the order of [`sightline_trace::CubeImage`]. `wrong` must have
+/// that length.
 pub fn regions(n: u32, wrong: &[bool]) -> Regions {
     let mut parent: Vec<u32> = (0..wrong.len() as u32).collect();
     for (i, _) in wrong.iter().enumerate().filter(|p| *p.1) {
         for neighbour in neighbours(n, i as u32) {
-            // Each pair is met twice; once is enough.
+            // The loop visits each pair of neighbours twice, and one visit suffices.
             if neighbour < i as u32 && wrong[neighbour as usize] {
                 let (a, b) = (root(&mut parent, i as u32), root(&mut parent, neighbour));
                 parent[a.max(b) as usize] = a.min(b);
@@ -38,7 +38,7 @@ pub fn regions(n: u32, wrong: &[bool]) -> Regions {
     found
 }
 
-/// The representative of a pixel's region, halving the path to it.
+/// Returns the representative of a pixel's region, and halves the path to it.
 fn root(parent: &mut [u32], mut i: u32) -> u32 {
     while parent[i as usize] != i {
         let above = parent[parent[i as usize] as usize];
@@ -48,16 +48,17 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// The four pixels that share a side with pixel `i`, as indices: left, right, below, above on its face.
+/// Returns the indices of the four pixels that share a side with pixel `i`: left, right, below, above on its
+/// face.
 pub fn neighbours(n: u32, i: u32) -> [u32; 4] {
     let (face, y, x) = (i / (n * n), i / n % n, i % n);
     let (x, y) = (i64::from(x), i64::from(y));
     [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| pixel(n, face, x, y))
 }
 
-/// The pixel at (x, y) of a face, where one of the two may be one step off the face: then its direction,
-/// carried on in the face's plane, is looked up on the face it belongs to. In integers, so that no rounding
-/// can tear an edge.
+/// Returns the pixel at (x, y) of a face, where one of the two coordinates may be one step off the face. In
+/// that case, the function computes the direction of the position and returns the pixel of the face in that
+/// direction. The computation uses integers, so that rounding cannot break an edge.
 fn pixel(n: u32, face: u32, x: i64, y: i64) -> u32 {
     let m = i64::from(n);
     if (0..m).contains(&x) && (0..m).contains(&y) {
@@ -69,7 +70,7 @@ fn pixel(n: u32, face: u32, x: i64, y: i64) -> u32 {
     direction[axis] = if face.is_multiple_of(2) { m } else { -m };
     direction[(axis + 1) % 3] = 2 * x + 1 - m;
     direction[(axis + 2) % 3] = 2 * y + 1 - m;
-    // One step off the face exactly one component is n + 1 in size, the greatest.
+    // One step off the face, exactly one component has the magnitude n + 1, the largest.
     let axis = (0..3).fold(0, |best, a| {
         if direction[a].abs() > direction[best].abs() {
             a
@@ -97,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn touching_is_mutual_and_near() {
+    fn touching_is_symmetric_and_near() {
         for n in [1, 2, 3, 8, 13] {
             for i in 0..6 * n * n {
                 for j in neighbours(n, i) {
@@ -123,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_whole_cube_is_one_region() {
+    fn whole_cube_is_one_region() {
         for n in [1, 2, 7] {
             let all = vec![true; (6 * n * n) as usize];
             assert_eq!(
@@ -141,7 +142,7 @@ mod tests {
     fn diagonals_do_not_touch_and_edges_do() {
         let n = 4;
         let mut wrong = vec![false; 96];
-        // Diagonal on face 0.
+        // The two pixels are diagonal on face 0.
         wrong[0] = true;
         wrong[5] = true;
         assert_eq!(
@@ -159,7 +160,8 @@ mod tests {
                 largest: 3
             }
         );
-        // Face 0 looks along +x, its right is +y: the right border touches face 2 (+y), whose up is +x.
+        // Face 0 looks along +x and its right vector is +y. Its right border touches face 2 (+y), whose up
+        // vector is +x.
         let mut wrong = vec![false; 96];
         wrong[(2 * n + 3) as usize] = true;
         let across = neighbours(n, 2 * n + 3)[1];
@@ -182,7 +184,7 @@ mod tests {
     #[test]
     fn three_pixels_meet_at_a_corner_of_the_cube() {
         let n = 5;
-        // The corner (+, +, +): the last pixel of faces +x, +y and +z.
+        // At the corner (+, +, +) is the last pixel of the faces +x, +y and +z.
         let corner = |face: u32| face * n * n + n * n - 1;
         let mut wrong = vec![false; 150];
         for face in [0, 2, 4] {
@@ -196,7 +198,7 @@ mod tests {
             }
         );
     }
-    /// The same by flooding, the paper's "recursive search".
+    /// Computes the regions by flooding, the paper's "recursive search".
     fn flooded(n: u32, wrong: &[bool]) -> Regions {
         let mut left = wrong.to_vec();
         let mut found = Regions::default();
@@ -217,12 +219,13 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn uniting_finds_what_flooding_finds(
-            (n, wrong) in (1u32..9).prop_flat_map(|n| {
+        fn union_find_equals_flooding(
+            image in (1u32..9).prop_flat_map(|n| {
                 let pixels = proptest::collection::vec(proptest::bool::weighted(0.55), (6 * n * n) as usize);
                 (proptest::strategy::Just(n), pixels)
             })
         ) {
+            let (n, wrong) = image;
             proptest::prop_assert_eq!(regions(n, &wrong), flooded(n, &wrong));
         }
     }

@@ -1,78 +1,80 @@
-//! What was measured, as it is printed.
+//! The results of a measurement, in their printed form.
 
 use std::path::PathBuf;
 
-/// The measures over all frames. A frame is one visibility cube of 6·resolution² pixels; errors and region
-/// sizes are fractions of that.
+use sightline_numbers::ids::CellIndex;
+
+/// The measures over all frames. A frame is one visibility cube of 6·resolution² pixels. Errors and region
+/// sizes are fractions of this number.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Report {
-    /// Number of frames (viewpoints).
+    /// The number of frames (viewpoints).
     pub frames: u64,
-    /// Side of a cube's face in pixels.
+    /// The side of a cube's face in pixels.
     pub resolution: u32,
-    /// Mean over the frames of the fraction of wrong pixels.
+    /// The mean over the frames of the fraction of wrong pixels.
     pub mean_error: f64,
-    /// 99th percentile by nearest rank: the ⌈0.99·frames⌉-th smallest error.
+    /// The 99th percentile by nearest rank: the ⌈0.99·frames⌉-th smallest error.
     pub p99_error: f64,
     /// The error of the worst frame.
     pub max_error: f64,
-    /// Mean over all frames of the number of connected wrong regions (a count).
+    /// The mean over all frames of the number of connected wrong regions (a count).
     pub mean_regions: f64,
-    /// Mean of the largest region's size over the frames that have an error, as in the paper; 0 when none
-    /// has.
+    /// The mean of the largest region's size over the frames with an error, as in the paper; 0 without
+    /// errors.
     pub mean_max_region: f64,
-    /// The largest region of all frames.
+    /// The size of the largest region of all frames.
     pub max_region: f64,
-    /// Number of frames with a wrong pixel.
+    /// The number of frames with a wrong pixel.
     pub frames_with_error: u64,
-    /// Number of view cells with a viewpoint in them.
+    /// The number of view cells that contain a viewpoint.
     pub cells_visited: u64,
-    /// Number of different triangles seen in any frame.
+    /// The number of different triangles visible in any frame.
     pub triangles_seen: u64,
-    /// The frames with the greatest errors, worst first; of equal ones the earlier first.
+    /// The frames with the largest errors, worst first. Of equal errors, the earlier frame comes first.
     pub worst: Vec<Frame>,
-    /// How long errors last; on a camera path only.
+    /// The durations of errors; only for a camera path.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub path: Option<PathReport>,
 }
 
-/// One frame.
+/// The measures of one frame.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Frame {
-    /// Its index, from 0.
+    /// The index of the frame, from 0.
     pub frame: u64,
-    /// Where it was seen from, world space.
+    /// The viewpoint of the frame, in world space.
     pub viewpoint: [f32; 3],
-    /// The view cell that lies in.
-    pub cell: u32,
-    /// Fraction of wrong pixels.
+    /// The view cell that contains the viewpoint.
+    pub cell: CellIndex,
+    /// The fraction of wrong pixels.
     pub error: f64,
-    /// Number of connected wrong regions.
+    /// The number of connected wrong regions.
     pub regions: u32,
-    /// Size of the largest of them.
+    /// The size of the largest region, as a fraction of all pixels.
     pub max_region: f64,
-    /// Number of different wrong triangles.
+    /// The number of different wrong triangles.
     pub wrong_triangles: u64,
-    /// Its image, where one was asked for.
+    /// The path of the frame's image; `None` if no image was written.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub image: Option<PathBuf>,
 }
 
-/// How long errors last on a camera path. One error is one triangle, wrong in consecutive frames.
+/// The durations of errors on a camera path. One error is one triangle that is wrong in consecutive frames.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct PathReport {
-    /// Number of such errors.
+    /// The number of such errors.
     pub errors: u64,
-    /// Mean number of consecutive frames an error lasts; 0 when there is none.
+    /// The mean number of consecutive frames of an error; 0 without errors.
     pub mean_frames: f64,
-    /// The greatest number of consecutive frames.
+    /// The maximum number of consecutive frames of an error.
     pub max_frames: u64,
 }
 
-/// Follows wrong triangles from frame to frame.
+/// A counter that follows wrong triangles from frame to frame.
 #[derive(Default)]
 pub(crate) struct Durations {
-    /// Triangles wrong in the last frame, ascending, with the number of frames they have been so.
+    /// The triangles that were wrong in the last frame, ascending, each with the number of frames so far.
     lasting: Vec<(u32, u64)>,
     errors: u64,
     frames: u64,
@@ -80,7 +82,7 @@ pub(crate) struct Durations {
 }
 
 impl Durations {
-    /// Takes the next frame's wrong triangles, ascending.
+    /// Adds the wrong triangles of the next frame, ascending.
     pub fn push(&mut self, wrong: &[u32]) {
         let before = std::mem::take(&mut self.lasting);
         let mut before = before.into_iter().peekable();
@@ -108,7 +110,8 @@ impl Durations {
     }
 }
 
-/// The nearest-rank percentile of ascending values, `percent` in 1…100; `None` when there are none.
+/// Returns the nearest-rank percentile of ascending values, or `None` without values. `percent` must be in
+/// 1…100.
 pub(crate) fn nearest_rank<T: Copy>(ascending: &[T], percent: u64) -> Option<T> {
     let rank = (ascending.len() as u64 * percent).div_ceil(100);
     ascending
@@ -136,7 +139,7 @@ mod tests {
         for wrong in [&[1, 5][..], &[5, 9], &[5], &[], &[1, 5]] {
             d.push(wrong);
         }
-        // 1 for one frame, 5 for three, 9 for one, then 1 and 5 for one frame each.
+        // Triangle 1 is wrong for one frame, 5 for three, 9 for one, then 1 and 5 for one frame each.
         assert_eq!(
             d.report(),
             PathReport {

@@ -1,5 +1,5 @@
-//! A frame as an animated PNG: what a camera at the viewpoint sees while it turns once around the axis that
-//! points up.
+//! A frame as an animated PNG. The animation shows the view of a camera at the viewpoint that turns once
+//! around the axis that points up.
 
 use std::path::Path;
 
@@ -11,16 +11,16 @@ use crate::camera::Camera;
 use crate::error::MeasureError;
 use crate::images::colour;
 
-/// Pixels of a picture.
+/// The size of a picture, in pixels.
 const SIZE: [u32; 2] = [400, 300];
 /// Half the width of a picture at distance 1: a field of view of 90 degrees.
 const SPREAD: f32 = 1.0;
-/// Pictures of a turn.
+/// The number of pictures of a turn.
 const STEPS: u32 = 48;
-/// Pictures a second.
+/// The number of pictures per second.
 const RATE: u16 = 12;
 
-/// Writes the animation. `visible` is the cell's set as bits; `up` is 1 or 2, for y or z.
+/// Writes the animation. `visible` is the cell's set as bits. `up` is 1 or 2, for y or z.
 pub(crate) fn write(
     path: &Path,
     image: &CubeImage,
@@ -58,13 +58,13 @@ pub(crate) fn write(
     file.commit().map_err(|e| failed(e.to_string()))
 }
 
-/// What the camera sees after it has turned by an angle.
+/// Returns the picture of the camera after a turn by an angle.
 fn picture(image: &CubeImage, visible: &[u64], up: usize, angle: f32) -> Vec<u8> {
     let [wide, high] = SIZE;
     let vertical = if up == 2 { Vec3::Z } else { Vec3::Y };
     let ahead = if up == 2 { Vec3::Y } else { Vec3::NEG_Z };
     let forward = ahead * angle.cos() + ahead.cross(vertical) * angle.sin();
-    // The frame is a cube around the viewpoint, which has directions and no place.
+    // The frame is a cube around the viewpoint, which has directions and no position.
     let camera = Camera::new(Vec3::ZERO, forward, vertical, SIZE, SPREAD);
     let mut out = Vec::with_capacity((wide * high * 3) as usize);
     for y in 0..high {

@@ -1,4 +1,4 @@
-//! Where to look from: points drawn uniformly from the view box, or a camera path from a file.
+//! Viewpoints: points drawn uniformly from the view box, or a camera path from a file.
 
 use std::io::{BufRead, Read};
 
@@ -7,32 +7,33 @@ use sightline_numbers::random::SplitMix64;
 
 use crate::error::MeasureError;
 
-/// The longest line of a camera path in bytes; no viewpoint needs more.
+/// The maximum length of a line of a camera path in bytes. No viewpoint needs more.
 const MAX_LINE: u64 = 4096;
 
-/// Viewpoints in world space, one a frame.
+/// The viewpoints in world space, one per frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Viewpoints {
     /// The points, in the order of the frames.
     pub points: Vec<Vec3>,
-    /// How much each point counts in the means; empty when all count alike.
+    /// The weight of each point in the means; empty if all points have equal weight.
     pub weights: Vec<f64>,
-    /// Whether consecutive points are consecutive frames of a walk, so that it means something how long an
-    /// error lasts.
+    /// True if consecutive points are consecutive frames of a walk, so that durations of errors are
+    /// meaningful.
     pub is_path: bool,
 }
 
 impl Viewpoints {
-    /// `n` points uniform in the view box (min, max). The same `seed` gives the same points on every machine.
+    /// Creates `n` points uniform in the view box (min, max). Equal seeds give equal points on every machine.
     ///
-    /// SplitMix64 (Steele, Lea and Flood 2014) starting at `seed`; for each point x, y, z in turn take the
-    /// upper 24 bits of one output as a fraction s of 2²⁴, and min + (max − min)·s in f64, rounded to f32.
+    /// The generator is SplitMix64 (Steele, Lea and Flood 2014) starting at `seed`. For each coordinate of
+    /// each point, in the order x, y, z, the upper 24 bits of one output are a fraction s of 2²⁴. The
+    /// coordinate is min + (max − min)·s in f64, rounded to f32.
     pub fn random(n: u32, seed: u64, view_box: [[f32; 3]; 2]) -> Self {
         let [min, max] = view_box;
         let mut stream = SplitMix64::new(seed);
         let mut coordinate = |axis: usize| {
             let (lo, hi) = (f64::from(min[axis]), f64::from(max[axis]));
-            // Rounding may lift a point onto the border, which still belongs to the view box.
+            // Rounding may move a point onto the border, which still belongs to the view box.
             (lo + (hi - lo) * f64::from(stream.unit_f32())) as f32
         };
         let points = (0..n)
@@ -45,8 +46,8 @@ impl Viewpoints {
         }
     }
 
-    /// The same where `is_place` holds: of up to a thousand times as many points as wanted, the first `n`
-    /// such points, or fewer when hardly any are.
+    /// Creates points like [`Self::random`], but only points for which `is_place` returns true. Draws at most
+    /// 1000·`n` points and keeps the first `n` that qualify. The result has fewer points if fewer qualify.
     pub fn random_where(
         n: u32,
         seed: u64,
@@ -77,8 +78,9 @@ impl Viewpoints {
         }
     }
 
-    /// Given points with weights. When there are more than `n`, `n` of them are drawn by their weights, at
-    /// equal steps of the sum of all weights before them; these count alike.
+    /// Creates viewpoints from points with weights. If there are more than `n` points, draws `n` of them by
+    /// their weights, at equal steps of the cumulative sum of the weights. The drawn points have equal
+    /// weight.
     pub fn weighted(all: &[([f32; 3], f64)], n: u32, seed: u64) -> Self {
         if all.len() <= n as usize {
             let (points, weights) = all.iter().map(|(p, w)| (Vec3::from(*p), *w)).unzip();
@@ -106,12 +108,13 @@ impl Viewpoints {
         }
     }
 
-    /// A camera path: a viewpoint a line, as `x y z` (spaces or commas between) or as `{"position":[x,y,z]}`
-    /// (other keys are ignored). Empty lines and what follows `#` in a plain line are skipped.
+    /// Reads a camera path with one viewpoint per line. The form of a line is `x y z` (separated by spaces or
+    /// commas) or `{"position":[x,y,z]}` (other keys are ignored). Skips empty lines, and the text after `#`
+    /// in a plain line.
     ///
     /// # Errors
-    /// [`MeasureError::Read`], [`MeasureError::Line`], [`MeasureError::PathOutside`], each with its line, and
-    /// [`MeasureError::NoViewpoints`].
+    /// [`MeasureError::Read`], [`MeasureError::Line`] and [`MeasureError::PathOutside`], each with its line.
+    /// [`MeasureError::NoViewpoints`] if the path is empty.
     pub fn path(mut reader: impl BufRead, view_box: [[f32; 3]; 2]) -> Result<Self, MeasureError> {
         let [min, max] = view_box;
         let mut points = Vec::new();
@@ -126,10 +129,10 @@ impl Viewpoints {
             }
             let bad = |reason: String| MeasureError::Line { line, reason };
             if bytes.len() as u64 > MAX_LINE {
-                return Err(bad(format!("it is longer than {MAX_LINE} bytes")));
+                return Err(bad(format!("the line is longer than {MAX_LINE} bytes")));
             }
             let text = std::str::from_utf8(&bytes)
-                .map_err(|_| bad("it is not text".to_owned()))?
+                .map_err(|_| bad("the line is not UTF-8 text".to_owned()))?
                 .trim();
             let Some(point) = parse_line(text).map_err(bad)? else {
                 continue;
@@ -162,7 +165,7 @@ struct JsonLine {
     position: [f32; 3],
 }
 
-/// The point of a line, `None` for a line without one.
+/// Parses the point of a line. Returns `None` for a line without a point.
 fn parse_line(text: &str) -> Result<Option<[f32; 3]>, String> {
     let point = if text.starts_with('{') {
         serde_json::from_str::<JsonLine>(text)
@@ -177,7 +180,7 @@ fn parse_line(text: &str) -> Result<Option<[f32; 3]>, String> {
         for (i, coordinate) in point.iter_mut().enumerate() {
             match numbers.next() {
                 None if i == 0 => return Ok(None),
-                None => return Err(format!("it has {i} numbers instead of 3")),
+                None => return Err(format!("the line has {i} numbers in place of 3")),
                 Some(word) => {
                     *coordinate = word
                         .parse()
@@ -186,7 +189,7 @@ fn parse_line(text: &str) -> Result<Option<[f32; 3]>, String> {
             }
         }
         if numbers.next().is_some() {
-            return Err("it has more than 3 numbers".to_owned());
+            return Err("the line has more than 3 numbers".to_owned());
         }
         point
     };
@@ -204,7 +207,7 @@ mod tests {
     const BOX: [[f32; 3]; 2] = [[-1.0, 0.0, 2.0], [1.0, 0.0, 5.0]];
 
     #[test]
-    fn random_points_lie_in_the_box_and_depend_on_the_seed_alone() {
+    fn random_points_lie_in_box_and_depend_only_on_seed() {
         let a = Viewpoints::random(500, 7, BOX);
         assert_eq!(a, Viewpoints::random(500, 7, BOX));
         assert_ne!(a, Viewpoints::random(500, 8, BOX));
@@ -213,7 +216,7 @@ mod tests {
                 .iter()
                 .all(|p| (-1.0..=1.0).contains(&p.x) && p.y == 0.0 && (2.0..=5.0).contains(&p.z))
         );
-        // Halves, quarters: uniform enough to notice a wrong shift.
+        // The number of points below 0 is near half, which suffices to notice a wrong shift.
         let below = a.points.iter().filter(|p| p.x < 0.0).count();
         assert!((200..300).contains(&below), "{below}");
         // The first output of SplitMix64 for seed 0 is 0xe220a8397b1dcdaf.
@@ -222,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn both_kinds_of_line_are_read() {
+    fn path_reads_both_kinds_of_lines() {
         let text =
             "# a walk\n0 0 3\n\n 0.5,0,  4 # stop\r\n{\"position\":[-1,0,5],\"t\":2}\n1\t0\t2";
         let path = Viewpoints::path(text.as_bytes(), BOX).unwrap();
@@ -237,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_lines_are_named() {
+    fn errors_report_bad_lines() {
         let why = |text: &str| {
             Viewpoints::path(text.as_bytes(), BOX)
                 .unwrap_err()

@@ -1,4 +1,4 @@
-//! Item buffers show nothing that is not in the exact set from their viewpoint.
+//! Test that item buffers show only triangles of the exact set from their viewpoint.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
@@ -6,24 +6,24 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;
-use sightline_scene::generate::{Kind, Params, generate};
-use sightline_tetra::look::{Hierarchy, Looker};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
+use sightline_tetra::point_query::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
 use sightline_tetra::{Mode, Scratch, View};
-use sightline_trace::embree::CpuBackend;
-use sightline_trace::{Backend as _, CubeSpec, SKY, Strata};
+use sightline_trace::cpu::CpuBackend;
+use sightline_trace::{CubeSpec, SKY, Strata, Tracer as _};
 
 #[test]
-fn item_buffers_show_nothing_beside_the_exact_set() {
-    let town = Params {
+fn item_buffers_show_only_triangles_of_exact_set() {
+    let town = SceneParams {
         triangles: Some(3000),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    let rooms = Params {
+    let rooms = SceneParams {
         grid: Some([2, 2]),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    for (kind, params) in [(Kind::Town, town), (Kind::Rooms, rooms)] {
+    for (kind, params) in [(SceneKind::Town, town), (SceneKind::Rooms, rooms)] {
         let scene = Arc::new(generate(kind, &params).unwrap());
         let surfaces = Surfaces::new(&scene).unwrap();
         let hierarchy = Hierarchy::new(surfaces.view());

@@ -1,34 +1,39 @@
-//! Known images in, known measures out.
+//! Tests of the measures of known images.
 
-// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+// Helpers of tests may unwrap as tests do. The exception in clippy's configuration covers only test
+// functions.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
 
 use glam::Vec3;
-use sightline_measure::{MeasureError, Options, PathReport, Report, Viewpoints, images, measure};
+use sightline_measure::{
+    MeasureError, PathReport, Report, Viewpoints, WorstFrameOptions, images, measure,
+};
+use sightline_numbers::ids::CellIndex;
 use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
-use sightline_trace::{BackendError, CubeImage, CubeRenderer, SKY, VisibilitySample};
+use sightline_trace::{CubeImage, CubeRenderer, SKY, TracerError, VisibilitySample};
 
 const N: u32 = 10;
-/// Triangles of the result; only 0…9 are visible from the cell x < 1, only 0…4 from the cell x ≥ 1.
+/// The number of triangles of the result. Only 0…9 are visible from the cell x < 1, and only 0…4 from the
+/// cell x ≥ 1.
 const TRIANGLES: u32 = 20;
 
-/// Shows an image made by hand for each whole x coordinate.
+/// A renderer that shows a handmade image for each whole x coordinate.
 struct Fake(BTreeMap<i32, Vec<u32>>);
 
 impl CubeRenderer for Fake {
-    fn samples(&self, _: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
-        Err(BackendError::Unavailable("images only".into()))
+    fn samples(&self, _: &[Vec3]) -> Result<Vec<VisibilitySample>, TracerError> {
+        Err(TracerError::Unavailable("images only".into()))
     }
 
-    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+    fn image(&self, point: Vec3) -> Result<CubeImage, TracerError> {
         match self.0.get(&(point.x as i32)) {
             Some(ids) => Ok(CubeImage {
                 resolution: N,
                 ids: ids.clone(),
             }),
-            None => Err(BackendError::Failed {
+            None => Err(TracerError::Failed {
                 profile: "fake".into(),
                 reason: "no image".into(),
             }),
@@ -68,7 +73,7 @@ fn at(face: u32, x: u32, y: u32) -> usize {
     ((face * N + y) * N + x) as usize
 }
 
-/// An image of triangle 0 with sky on face 5 and some pixels of other triangles.
+/// Returns an image of triangle 0, with sky on face 5 and some pixels of other triangles.
 fn image(pixels: &[(usize, u32)]) -> Vec<u32> {
     let mut ids = vec![0; (6 * N * N) as usize];
     ids[at(5, 0, 0)..].fill(SKY);
@@ -78,7 +83,11 @@ fn image(pixels: &[(usize, u32)]) -> Vec<u32> {
     ids
 }
 
-fn run(images: Vec<Vec<u32>>, is_path: bool, options: &Options) -> Result<Report, MeasureError> {
+fn run(
+    images: Vec<Vec<u32>>,
+    is_path: bool,
+    options: &WorstFrameOptions,
+) -> Result<Report, MeasureError> {
     let points = (0..images.len())
         .map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5))
         .collect();
@@ -100,16 +109,18 @@ fn run(images: Vec<Vec<u32>>, is_path: bool, options: &Options) -> Result<Report
 fn known_images_give_known_measures() {
     let report = run(
         vec![
-            // Cell 0: 9 is visible, 10 is not: two diagonal pixels, one pixel apart.
+            // In cell 0, 9 is visible, and 10 and 11 are not. The wrong pixels are two diagonal ones and a
+            // separate one.
             image(&[
                 (at(0, 2, 2), 9),
                 (at(0, 5, 5), 10),
                 (at(0, 6, 6), 10),
                 (at(0, 9, 1), 11),
             ]),
-            // Cell 1: nothing wrong.
+            // In cell 1, no pixel is wrong.
             image(&[(at(0, 2, 2), 4)]),
-            // Cell 1: 9 is wrong now; across the edge from face 0 (+x, right border) to face 2 (+y, top row).
+            // In cell 1, 9 is wrong now. The region crosses the edge from face 0 (+x, right border) to face 2
+            // (+y, top row).
             image(&[
                 (at(0, 8, 3), 9),
                 (at(0, 9, 3), 9),
@@ -117,11 +128,11 @@ fn known_images_give_known_measures() {
                 (at(2, 3, 8), 7),
                 (at(4, 4, 4), 19),
             ]),
-            // Wrong against the sky.
+            // One pixel is wrong against the sky.
             image(&[(at(5, 0, 0), 6)]),
         ],
         false,
-        &Options {
+        &WorstFrameOptions {
             images_dir: None,
             turntable: None,
             images: 2,
@@ -152,15 +163,15 @@ fn known_images_give_known_measures() {
             report.worst[0].cell,
             report.worst[0].regions
         ),
-        (3, 1, 2)
+        (3, CellIndex(1), 2)
     );
     assert_eq!(report.worst[0].viewpoint, [2.5, 0.5, 0.5]);
     assert_eq!(report.worst[0].image, None);
 }
 
 #[test]
-fn the_report_has_the_keys_others_rely_on() {
-    let report = run(vec![image(&[])], false, &Options::default()).unwrap();
+fn report_has_documented_keys() {
+    let report = run(vec![image(&[])], false, &WorstFrameOptions::default()).unwrap();
     let json = serde_json::to_value(&report).unwrap();
     for key in [
         "frames",
@@ -180,7 +191,7 @@ fn the_report_has_the_keys_others_rely_on() {
 }
 
 #[test]
-fn errors_on_a_path_are_followed() {
+fn path_report_counts_durations_of_errors() {
     let wrong = |ids: &[u32]| {
         let pixels: Vec<_> = ids
             .iter()
@@ -196,7 +207,7 @@ fn errors_on_a_path_are_followed() {
         wrong(&[12, 15]),
         wrong(&[9]),
     ];
-    let report = run(images, true, &Options::default()).unwrap();
+    let report = run(images, true, &WorstFrameOptions::default()).unwrap();
     assert_eq!(
         report.path,
         Some(PathReport {
@@ -223,12 +234,23 @@ fn progress_ends_at_all_frames() {
         told.push((done, total));
         true
     };
-    measure(&fake, &pvs(), &views, &Options::default(), &mut tell).unwrap();
+    measure(
+        &fake,
+        &pvs(),
+        &views,
+        &WorstFrameOptions::default(),
+        &mut tell,
+    )
+    .unwrap();
     assert_eq!(told.last(), Some(&(70, 70)));
     assert!(told.is_sorted() && told.len() > 1, "{told:?}");
-    let stopped = measure(&fake, &pvs(), &views, &Options::default(), &mut |_, _| {
-        false
-    })
+    let stopped = measure(
+        &fake,
+        &pvs(),
+        &views,
+        &WorstFrameOptions::default(),
+        &mut |_, _| false,
+    )
     .unwrap_err();
     assert!(
         matches!(
@@ -243,7 +265,7 @@ fn progress_ends_at_all_frames() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_refused() {
+fn rejects_invalid_views_and_images() {
     let one = |x: f32| Viewpoints {
         points: vec![Vec3::new(x, 0.5, 0.5)],
         weights: Vec::new(),
@@ -251,7 +273,14 @@ fn what_cannot_be_measured_is_refused() {
     };
     let go = |ids: Vec<u32>, views: &Viewpoints| {
         let fake = Fake(BTreeMap::from([(0, ids)]));
-        measure(&fake, &pvs(), views, &Options::default(), &mut |_, _| true).unwrap_err()
+        measure(
+            &fake,
+            &pvs(),
+            views,
+            &WorstFrameOptions::default(),
+            &mut |_, _| true,
+        )
+        .unwrap_err()
     };
     assert!(matches!(
         go(image(&[]), &one(-1.0)),
@@ -283,7 +312,7 @@ fn what_cannot_be_measured_is_refused() {
 #[test]
 fn images_show_seen_green_wrong_red_and_sky_black() {
     let dir = tempfile::tempdir().unwrap();
-    let options = Options {
+    let options = WorstFrameOptions {
         images_dir: Some(dir.path().join("new/images")),
         turntable: Some(1),
         images: 1,
@@ -305,7 +334,7 @@ fn images_show_seen_green_wrong_red_and_sky_black() {
         "{}",
         path.display()
     );
-    // One turn around the viewpoint, as an animation.
+    // The animation shows one turn around the viewpoint.
     let film = std::fs::File::open(dir.path().join("new/images/worst_turntable.png")).unwrap();
     let film = png::Decoder::new(std::io::BufReader::new(film))
         .read_info()
@@ -326,17 +355,17 @@ fn images_show_seen_green_wrong_red_and_sky_black() {
             u32::from(f) * 100 + 100 > u32::from(b) * 80 && u32::from(f) * 100 <= u32::from(b) * 120
         })
     };
-    // Face 0 (+x) is above left, mirrored: its pixel (0, 0) is at the lower right.
+    // Face 0 (+x) is at the upper left and mirrored, so its pixel (0, 0) is at the lower right.
     assert!(
         is(pixel(N - 1, N - 1), images::WRONG),
         "{:?}",
         pixel(N - 1, N - 1)
     );
     assert!(is(pixel(0, 0), images::SEEN), "{:?}", pixel(0, 0));
-    // Face 3 (−y) is below in the middle, not mirrored: its pixel (0, 0) is at the lower left.
+    // Face 3 (−y) is at the bottom middle and not mirrored, so its pixel (0, 0) is at the lower left.
     assert!(is(pixel(N, 2 * N - 1), images::WRONG));
     assert!(is(pixel(N + 1, 2 * N - 1), images::SEEN));
-    // Another triangle, another shade.
+    // Another triangle has another shade.
     assert_ne!(pixel(N + 1, 2 * N - 1), pixel(N + 2, 2 * N - 1));
     // Face 5 (−z) is sky.
     assert_eq!(pixel(3 * N - 1, 2 * N - 1), [0, 0, 0]);

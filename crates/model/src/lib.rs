@@ -1,9 +1,27 @@
-//! The job and the outputs of its tiles.
+//! The job, the outputs of its tiles, and their encodings.
 //!
-//! The coordinator, the workers and the clients agree on a job through this crate. [`job`] has the checked
-//! specification of a job with its key and its plan. [`output`] has the outputs of tiles with their bytes,
-//! and the statistics of cells as named columns. [`ambient`] has the receivers and the answers of a job of
-//! ambient occlusion. The crate does not sample, and depends on no tracer and no network.
+//! The coordinator, the workers and the clients agree on a job through this crate. The crate does not sample,
+//! and depends on no tracer and no network. It uses the messages of `proto` without the gRPC services,
+//! because only this crate converts messages into checked values.
+//!
+//! # Modules
+//!
+//! - [`job`]: the specification. [`JobSpec`] names a scene and a [`Task`]: [`Visibility`] by a [`Method`], or
+//!   [`Ambient`] occlusion. [`PlannedJob`] adds the key and the plan. The numbers of a job are types with
+//!   ranges and defaults (`job/numbers.rs`), and `job/limits.rs` lists the combinations that are not built.
+//! - [`output`]: the outputs of tiles ([`TileOutput`]), their bytes (`output/codec`), the statistics of cells
+//!   as named columns, the pairs of cells, and the bound on missed sight lines.
+//! - [`ambient`]: the receivers and the answers of a job of ambient occlusion.
+//!
+//! # Invariants
+//!
+//! - A value of a job is checked when it is made. A lattice or a plan of a job cannot fail later.
+//! - The key of a job is a digest of `ALGORITHM_VERSION` and the canonical bytes of the job's message. Equal
+//!   keys mean equal results for one numerics profile.
+//! - A change that affects the bytes of results needs a new [`ALGORITHM_VERSION`].
+//! - Decoders check every length and index of a tile's output, and return errors.
+//!
+//! # Example
 //!
 //! ```
 //! use glam::Vec3;
@@ -45,8 +63,8 @@ pub use job::{
     Task, UnknownValue, Visibility,
 };
 pub use output::{
-    CellSet, CellSets, Decision, Hits, Node, Pack, TileOutput, VisibilitySample, bound, codec,
-    pairs, statistics,
+    CellSet, CellSets, Decision, Hits, Pack, SubtreeNode, TileOutput, VisibilitySample, bound,
+    codec, pairs, statistics,
 };
 pub use pairs::{MOST_PAIR_CELLS, PairTable, TilePairs};
 pub use sightline_viewcells::{MOST_BLOCK_CELLS, USUAL_BLOCK_CELLS};

@@ -1,4 +1,4 @@
-//! The presence of the numbers, flags and choices of a job's message: each can be given its smallest legal
+//! Tests of the presence of numbers, flags and choices in a job's message. Each can have its smallest legal
 //! value, and an absent one has its default.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
@@ -13,17 +13,17 @@ use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
 use sightline_model::{JobSpec, SceneFacts};
 use sightline_proto::v1;
 
-/// A field of the job's message: its path, the values to try, and a job that may have it.
+/// A field of the job's message: its path, the values to test, and a job that may have the field.
 struct Row {
-    /// The names of the fields that lead to it.
+    /// The names of the fields that lead to this field, separated by periods.
     path: &'static str,
     /// The smallest legal value.
     smallest: f64,
-    /// A smaller value, which is rejected; `None` where no smaller one can be written.
+    /// A smaller value, which is rejected; `None` if no smaller value can be encoded.
     below: Option<f64>,
-    /// The value that an absent field stands for; `None` where absence has another meaning or is rejected.
+    /// The default of an absent field; `None` if absence has another meaning or is rejected.
     default: Option<f64>,
-    /// The job.
+    /// The function that creates the job.
     job: fn() -> v1::JobSpec,
 }
 
@@ -155,7 +155,7 @@ const fn row(
     }
 }
 
-/// Every number, flag and named value of a job.
+/// The rows for every number, flag and named value of a job.
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
     row("visibility.far", f32::MIN_POSITIVE as f64, Some(0.0), None, lines),
@@ -203,7 +203,7 @@ const ROWS: &[Row] = &[
 #[derive(Clone, Debug)]
 struct Leaf {
     path: Vec<u32>,
-    /// The name of its message and its own.
+    /// The name of the field's message and the name of the field.
     name: String,
     field: FieldDescriptorProto,
 }
@@ -221,13 +221,13 @@ fn message<'a>(set: &'a FileDescriptorSet, name: &str) -> &'a DescriptorProto {
         .unwrap()
 }
 
-/// Finds the fields with a single number, flag or named value of a message and of the messages in it.
+/// Collects the fields with a single number, flag or named value of a message and of its nested messages.
 fn leaves(set: &FileDescriptorSet, name: &str, all: &mut BTreeMap<String, FieldDescriptorProto>) {
     let message = message(set, name);
     for field in &message.field {
         match field.r#type() {
             Type::Message => leaves(set, field.type_name(), all),
-            // An empty text or list is not a legal value of any field, so that absence needs no bit.
+            // An empty text or list is not a legal value of any field, so absence needs no bit.
             Type::Bytes | Type::String => {}
             _ if field.label() == Label::Repeated => {}
             _ => {
@@ -247,7 +247,7 @@ fn all_leaves() -> BTreeMap<String, FieldDescriptorProto> {
 }
 
 impl Row {
-    /// Finds the field.
+    /// Finds the field that the row describes.
     fn leaf(&self) -> Leaf {
         let set = descriptors();
         let mut descriptor = message(&set, ".sightline.v1.JobSpec");
@@ -266,7 +266,7 @@ impl Row {
     }
 }
 
-/// Returns the job with one field given, as a client writes it.
+/// Returns the job with one field set, as a client encodes it.
 fn with(job: &v1::JobSpec, leaf: &Leaf, value: f64) -> v1::JobSpec {
     let (last, outer) = leaf.path.split_last().unwrap();
     let mut bytes = Vec::new();
@@ -291,7 +291,7 @@ fn with(job: &v1::JobSpec, leaf: &Leaf, value: f64) -> v1::JobSpec {
         around.extend(bytes);
         bytes = around;
     }
-    // A message that follows another one is merged into it.
+    // Decoding merges a message with the message that follows it.
     v1::JobSpec::decode(&*[job.encode_to_vec(), bytes].concat()).unwrap()
 }
 
@@ -300,9 +300,9 @@ fn read(message: &v1::JobSpec) -> Result<JobSpec, String> {
 }
 
 #[test]
-fn every_number_flag_and_name_of_a_job_is_optional_and_tested() {
+fn every_scalar_field_of_job_is_optional_and_tested() {
     let leaves = all_leaves();
-    // A field of a oneof is absent when another one is given, or none.
+    // A field of a oneof is absent if another field of the oneof, or none, is given.
     let is_optional =
         |field: &FieldDescriptorProto| field.proto3_optional() || field.oneof_index.is_some();
     let implicit: Vec<&String> = leaves
@@ -320,7 +320,7 @@ fn every_number_flag_and_name_of_a_job_is_optional_and_tested() {
 }
 
 #[test]
-fn smallest_legal_values_come_through_the_message() {
+fn smallest_legal_values_round_trip() {
     for row in ROWS {
         let (leaf, job) = (row.leaf(), (row.job)());
         let given = with(&job, &leaf, row.smallest);
@@ -348,7 +348,7 @@ fn smallest_legal_values_come_through_the_message() {
 }
 
 #[test]
-fn written_default_makes_the_key_of_an_absent_field() {
+fn written_default_has_key_of_absent_field() {
     for row in ROWS {
         let Some(default) = row.default else { continue };
         let job = (row.job)();
@@ -380,7 +380,7 @@ fn defaults_depend_on_scene_and_bound() {
         };
         JobSpec::from_message(&scene, &facts).unwrap()
     };
-    // The scene is enough where its bounds are known.
+    // The scene suffices if its bounds are known.
     assert_eq!(Ok(spec_for(100)), read(&lines()));
     assert_ne!(spec_for(10_000_000), spec_for(100));
     let row = ROWS

@@ -5,25 +5,27 @@ use glam::Vec3;
 /// A closed axis-aligned box in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
-    /// The least corner.
+    /// The corner with the smallest coordinates.
     pub min: Vec3,
-    /// The greatest corner.
+    /// The corner with the largest coordinates.
     pub max: Vec3,
 }
 
 impl Aabb {
-    /// The box that contains nothing: its union with any box is that box.
+    /// The empty box: its union with any box is that box.
     pub const EMPTY: Self = Self {
         min: Vec3::INFINITY,
         max: Vec3::NEG_INFINITY,
     };
 
-    /// The box between its least and its greatest corner.
+    /// Creates the box between the corner `min` and the corner `max`.
     pub const fn new(min: Vec3, max: Vec3) -> Self {
         Self { min, max }
     }
 
-    /// The least box around some points; [`Self::EMPTY`] when there are none.
+    /// Returns the smallest box that contains all points.
+    ///
+    /// The result is [`Self::EMPTY`] if `points` is empty.
     pub fn around(points: impl IntoIterator<Item = Vec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |b, p| Self {
             min: b.min.min(p),
@@ -31,7 +33,7 @@ impl Aabb {
         })
     }
 
-    /// The least box around both.
+    /// Returns the smallest box that contains both boxes.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self {
@@ -40,17 +42,17 @@ impl Aabb {
         }
     }
 
-    /// Whether `p` is inside or on the border.
+    /// Returns true if `p` is inside the box or on its border.
     pub fn contains(&self, p: Vec3) -> bool {
         p.cmpge(self.min).all() && p.cmple(self.max).all()
     }
 
-    /// Whether the two closed boxes share a point.
+    /// Returns true if the two closed boxes share a point.
     pub fn touches(&self, other: &Self) -> bool {
         self.min.cmple(other.max).all() && self.max.cmpge(other.min).all()
     }
 
-    /// The least and the greatest corner.
+    /// Returns the corners `min` and `max`.
     pub const fn corners(&self) -> [Vec3; 2] {
         [self.min, self.max]
     }

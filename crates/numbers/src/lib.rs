@@ -1,12 +1,29 @@
-//! Numbers, streams of numbers and sets of numbers that the other crates share.
+//! Boxes, indices, pseudorandom numbers, integer encodings and disjoint sets that the other crates share.
 //!
-//! This crate depends on no other crate of the project and knows nothing of triangles, cells or results.
-//! Everything here gives the same values on every machine.
+//! This crate depends on no other crate of the project. The types in `ids` are indices only: this crate does
+//! not define triangles, cells or results.
+//!
+//! # Modules
+//!
+//! - `aabb`: [`Aabb`], an axis-aligned box in single precision.
+//! - `ids`: index types of triangles, objects, cells, tiles and phases.
+//! - `integer`: quotients of two integers of any size, in floating point.
+//! - `random`: `SplitMix64`, a stream of pseudorandom numbers. A list of integers selects the stream.
+//! - `union_find`: `UnionFind`, disjoint sets of the integers 0 … n−1.
+//! - `varint`: variable-length integers (LEB128).
+//!
+//! # Invariants
+//!
+//! - All functions return the same values on every machine and in every version. The bytes of results depend
+//!   on these values.
+//! - Decoders check their input and return errors.
+//!
+//! # Example
 //!
 //! ```
 //! use sightline_numbers::{random::SplitMix64, union_find::UnionFind, varint};
 //!
-//! // Join ten random pairs of numbers, then write the root of each number.
+//! // Join the sets of ten random pairs of numbers below 16, then encode the root of each number.
 //! let (mut stream, mut sets) = (SplitMix64::named(&[7, 1]), UnionFind::new(16));
 //! for _ in 0..10 {
 //!     sets.join((stream.bits() >> 60) as u32, (stream.bits() >> 60) as u32);
@@ -18,6 +35,7 @@
 //! ```
 
 mod aabb;
+pub mod ids;
 pub mod integer;
 pub mod random;
 pub mod union_find;
@@ -25,8 +43,9 @@ pub mod varint;
 
 pub use aabb::Aabb;
 
-/// Largest absolute coordinate of scenes and view boxes.
+/// The largest magnitude of a coordinate of scenes and view boxes, in units of the scene.
 ///
-/// Tracers multiply three lengths of a scene in single precision: at most (2·10⁹·√3)³ ≈ 4·10²⁸, far below the
-/// largest `f32`. Embree ends the process where its hierarchy meets an infinity.
+/// Ray tracers multiply three lengths of a scene in single precision. With this limit, the product is at most
+/// (2·10⁹·√3)³ ≈ 4·10²⁸, far below the largest `f32`. Embree ends the process if its hierarchy contains an
+/// infinity, and the tracer `cpu` scales scenes to coordinates of at most one.
 pub const MAX_COORDINATE: f32 = 1e9;

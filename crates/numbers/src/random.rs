@@ -1,16 +1,16 @@
-//! Pseudorandom numbers that are the same on every machine and in every version.
+//! Pseudorandom numbers that are identical on every machine and in every version.
 //!
-//! SplitMix64: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014, section
-//! 4 and figure 16 (the finaliser is David Stafford's variant 13). Results depend on these values, so they
-//! never change; the tests hold known answers.
+//! The generator is SplitMix64 (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators",
+//! OOPSLA 2014, section 4 and figure 16). The finaliser is David Stafford's variant 13. Results depend on
+//! these values, so the values never change; the tests contain known answers.
 
 /// The increment of SplitMix64's state: 2⁶⁴ divided by the golden ratio, rounded to an odd number.
 pub const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The finaliser of SplitMix64: a bijection on 64 bits in which every bit of the result depends on every bit
-/// of `z`.
+/// Applies the finaliser of SplitMix64 to `z`.
 ///
-/// Seeds, streams and hashes of positions are mixed with it.
+/// The finaliser is a bijection on 64-bit values, and every bit of the result depends on every bit of `z`.
+/// Callers mix seeds, names of streams and vertex positions with this function.
 #[inline]
 pub fn mix(z: u64) -> u64 {
     let z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -18,7 +18,7 @@ pub fn mix(z: u64) -> u64 {
     z ^ z >> 31
 }
 
-/// A stream of SplitMix64. A copy continues with the same numbers as the original.
+/// A stream of SplitMix64 numbers. A copy returns the same further numbers as the original.
 ///
 /// ```
 /// use sightline_numbers::random::SplitMix64;
@@ -33,14 +33,15 @@ pub struct SplitMix64 {
 }
 
 impl SplitMix64 {
-    /// The stream that starts at `state`.
+    /// Creates the stream that starts at `state`.
     #[inline]
     pub const fn new(state: u64) -> Self {
         Self { state }
     }
 
-    /// The stream named by a list of numbers, such as a seed, a tile and a cell. The order of the numbers
-    /// counts.
+    /// Creates the stream that a list of integers selects, such as a seed, a tile index and a cell index.
+    ///
+    /// The order of the integers matters.
     pub fn named(names: &[u64]) -> Self {
         let state = names.iter().fold(GAMMA, |state, name| {
             mix(state ^ mix(name.wrapping_add(GAMMA)))
@@ -48,20 +49,24 @@ impl SplitMix64 {
         Self { state }
     }
 
-    /// The next 64 bits.
+    /// Returns the next 64 pseudorandom bits.
     #[inline]
     pub fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(GAMMA);
         mix(self.state)
     }
 
-    /// The next number in [0, 1), a multiple of 2⁻²⁴: the upper 24 of the next 64 bits.
+    /// Returns the next number in [0, 1), a multiple of 2⁻²⁴.
+    ///
+    /// The number is computed from the upper 24 bits of the next 64 bits.
     #[inline]
     pub fn unit_f32(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u32 << 24) as f32
     }
 
-    /// The next number in [0, 1), a multiple of 2⁻⁵³: the upper 53 of the next 64 bits.
+    /// Returns the next number in [0, 1), a multiple of 2⁻⁵³.
+    ///
+    /// The number is computed from the upper 53 bits of the next 64 bits.
     #[inline]
     pub fn unit_f64(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
@@ -86,7 +91,7 @@ mod tests {
 
     #[test]
     fn streams_have_known_answers() {
-        // The outputs for state 0 are published with the reference code.
+        // The reference code publishes the outputs for state 0.
         for (mut stream, expected) in [
             (
                 SplitMix64::new(0),
@@ -119,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_the_upper_bits() {
+    fn unit_numbers_contain_upper_bits() {
         assert_eq!(
             SplitMix64::new(0).unit_f32(),
             0x00e2_20a8 as f32 / 16_777_216.0

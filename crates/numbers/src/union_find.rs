@@ -1,10 +1,13 @@
 //! Disjoint sets of numbers (union-find with path halving; Tarjan and van Leeuwen, "Worst-case Analysis of
 //! Set Union Algorithms", 1984).
 //!
-//! It is in this crate because the certificate checker needs it and depends on no other crate of the project.
+//! The module is in this crate because the certificate checker uses disjoint sets, and this crate is the only
+//! crate of the project on which the checker depends.
 
-/// Disjoint sets of the numbers 0 … n−1. The root of a set is its least number, so roots depend on which
-/// numbers were joined and not on the order.
+/// Disjoint sets of the numbers 0 … n−1.
+///
+/// The root of a set is its smallest number, so roots do not depend on the order in which numbers were
+/// joined.
 ///
 /// ```
 /// use sightline_numbers::union_find::UnionFind;
@@ -20,17 +23,17 @@ pub struct UnionFind {
 }
 
 impl UnionFind {
-    /// `n` sets of one number each; `n` is at most 2³².
+    /// Creates one set for each number 0 … n−1; `n` is at most 2³².
     pub fn new(n: usize) -> Self {
         Self {
             parent: (0..n as u32).collect(),
         }
     }
 
-    /// The least number of the set that `x` is in.
+    /// Returns the smallest number of the set that contains `x`.
     ///
     /// # Panics
-    /// When `x` is not below the `n` of [`UnionFind::new`].
+    /// If `x` is not below the `n` of [`UnionFind::new`].
     pub fn root(&mut self, mut x: u32) -> u32 {
         while self.parent[x as usize] != x {
             // Path halving keeps the trees flat.
@@ -41,10 +44,10 @@ impl UnionFind {
         x
     }
 
-    /// Joins the sets that `a` and `b` are in.
+    /// Joins the set that contains `a` with the set that contains `b`.
     ///
     /// # Panics
-    /// As [`UnionFind::root`].
+    /// If `a` or `b` is not below the `n` of [`UnionFind::new`].
     pub fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         self.parent[a.max(b) as usize] = a.min(b);
@@ -57,9 +60,10 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Roots are the least numbers that repeated relabelling finds, whatever the order of the joins.
+        /// Compares the roots with the smallest numbers that repeated relabelling computes, for two orders of
+        /// the joins.
         #[test]
-        fn roots_are_the_least_numbers(pairs in proptest::collection::vec((0u32..40, 0u32..40), 0..60)) {
+        fn roots_are_smallest_numbers(pairs in proptest::collection::vec((0u32..40, 0u32..40), 0..60)) {
             let mut least: Vec<u32> = (0..40).collect();
             loop {
                 let before = least.clone();

@@ -1,31 +1,32 @@
-//! Variable-length integers (LEB128): seven bits a byte, the least first, the top bit set on all bytes but
-//! the last.
+//! Variable-length integers (LEB128): seven bits per byte, the lowest bits first, the top bit set on all
+//! bytes except the last.
 //!
-//! The formats that use them accept different forms, and keep to what they accept. [`read`] accepts any form
-//! of a number, also one padded with zero bits; [`read_shortest`] accepts one form for each number, so that
-//! equal content has equal bytes. Both take the greatest number of bytes, which bounds the value.
+//! The reader of each file format uses one of two functions. [`read`] accepts every encoding of a number,
+//! including encodings that are padded with zero bits. [`read_shortest`] accepts only the shortest encoding,
+//! so that equal content has equal bytes. Both functions have a limit on the number of encoded bytes, which
+//! bounds the value.
 
-/// The most bytes a number of 64 bits takes.
+/// The maximum number of encoded bytes of a 64-bit number.
 pub const MOST_BYTES: u32 = 10;
 
-/// Why bytes are not a number.
+/// The reason why bytes are not a valid variable-length integer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum VarintError {
-    /// The bytes end within the number.
-    #[error("a number is cut short")]
+    /// The input ends before the last byte of the number.
+    #[error("the input ends within a variable-length integer")]
     CutShort,
     /// The number has bits beyond the 64th.
-    #[error("a number is beyond 64 bits")]
+    #[error("a variable-length integer exceeds 64 bits")]
     TooLarge,
-    /// No byte among the most allowed ends the number.
-    #[error("a number has too many bytes")]
+    /// The number does not end within the allowed number of bytes.
+    #[error("a variable-length integer has more bytes than its format allows")]
     TooLong,
-    /// The last byte adds nothing: the number has a shorter form.
-    #[error("a number has more bytes than it needs")]
+    /// The last of several bytes is 0, so the number has a shorter encoding.
+    #[error("a variable-length integer is not in its shortest encoding")]
     NotShortest,
 }
 
-/// Appends `value` to `out` in its shortest form.
+/// Appends the shortest encoding of `value` to `out`.
 ///
 /// ```
 /// use sightline_numbers::varint;
@@ -46,21 +47,24 @@ pub fn write(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Takes a number of at most `most_bytes` (1 to [`MOST_BYTES`]) bytes off the front of `from`, in any form.
-/// `from` is left as it is on an error.
+/// Reads a number in any encoding from the front of `from` and advances `from` past the number.
+///
+/// The encoding has at most `most_bytes` bytes (1 to [`MOST_BYTES`]). An error leaves `from` unchanged.
 ///
 /// # Errors
-/// [`VarintError::CutShort`], [`VarintError::TooLarge`] and [`VarintError::TooLong`].
+/// [`VarintError::CutShort`] if the input ends within the number, [`VarintError::TooLarge`] if the number has
+/// more than 64 bits, and [`VarintError::TooLong`] if the encoding has more than `most_bytes` bytes.
 #[inline]
 pub fn read(from: &mut &[u8], most_bytes: u32) -> Result<u64, VarintError> {
     take(from, most_bytes, false)
 }
 
-/// Takes a number of at most `most_bytes` (1 to [`MOST_BYTES`]) bytes off the front of `from`, in its
-/// shortest form only. `from` is left as it is on an error.
+/// Reads a number in its shortest encoding from the front of `from` and advances `from` past the number.
+///
+/// The encoding has at most `most_bytes` bytes (1 to [`MOST_BYTES`]). An error leaves `from` unchanged.
 ///
 /// # Errors
-/// Any [`VarintError`].
+/// The errors of [`read`], and [`VarintError::NotShortest`] if the number has a shorter encoding.
 #[inline]
 pub fn read_shortest(from: &mut &[u8], most_bytes: u32) -> Result<u64, VarintError> {
     take(from, most_bytes, true)
@@ -114,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_numbers_are_refused_with_the_reason_and_nothing_is_taken() {
+    fn invalid_numbers_return_error_and_leave_input_unchanged() {
         use VarintError::*;
         let full = [0xff; 10];
         let beyond = [&[0x80; 9][..], &[2]].concat();
@@ -139,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn padded_numbers_are_read_where_they_are_allowed() {
+    fn read_accepts_padded_numbers() {
         assert_eq!(read(&mut &[0x81, 0x80, 0][..], 10), Ok(1));
         assert_eq!(read_shortest(&mut &[0][..], 9), Ok(0));
         assert_eq!(
@@ -150,7 +154,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn numbers_come_back(value in (any::<u64>(), 0u32..64).prop_map(|(v, s)| v >> s), tail: Vec<u8>) {
+        fn numbers_round_trip(value in (any::<u64>(), 0u32..64).prop_map(|(v, s)| v >> s), tail: Vec<u8>) {
             let mut bytes = Vec::new();
             write(&mut bytes, value);
             let length = bytes.len();

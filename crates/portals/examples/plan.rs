@@ -1,12 +1,13 @@
-//! Draws a plan of a scene divided along its walls, as SVG, and prints the time of each stage.
+//! Example program that draws a plan of a scene divided along its walls, as SVG, and prints the time of each
+//! stage.
 //!
 //! ```sh
 //! cargo run --release -p sightline-portals --example plan -- SCENE X,Y,Z UP OUT.svg [CELLS]
 //! ```
 //!
 //! The plan is the section across the axis UP (x, y or z) through the point. Thin lines divide the leaves
-//! that are reached from the point, walls are black and portals green. With CELLS, as in 8x8x8, the portals
-//! of each cell of that grid are searched, too.
+//! that the point reaches; walls are black and portals green. With CELLS, as in 8x8x8, the program also
+//! searches the portals of each cell of that grid.
 
 #![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 
@@ -17,18 +18,18 @@ use std::time::Instant;
 
 use glam::{DVec3, UVec3, Vec3};
 use sightline_numbers::Aabb;
-use sightline_portals::{Enclosure, LeafId, Limits, OUTSIDE, Partition, PortalId, Tree};
+use sightline_portals::{Enclosure, EnclosureLimits, LeafId, OUTSIDE, Partition, PortalId, Tree};
 use sightline_portals::{enclose, reached, region_of, sights, solids};
 
-/// Width of the picture.
+/// Width of the picture, in SVG units.
 const WIDTH: f64 = 1000.0;
 
-/// Where the plan's plane is: the axis, and the coordinate on it.
+/// The plane of the plan: the axis, and the coordinate on this axis.
 #[derive(Clone, Copy)]
 struct Cut(usize, f64);
 
 impl Cut {
-    /// The section of a convex polygon, if the plane crosses it.
+    /// Returns the section of a convex polygon, or `None` if the plane does not cross it.
     fn section(self, corners: &[DVec3]) -> Option<[DVec3; 2]> {
         let Self(axis, level) = self;
         let next = corners.iter().cycle().skip(1);
@@ -40,7 +41,7 @@ impl Cut {
     }
 }
 
-/// Lines of one style.
+/// Writes segments of one style as an SVG path.
 fn lines(
     out: &mut String,
     style: &str,
@@ -67,11 +68,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let point: Vec<f32> = point.split(',').map(str::parse).collect::<Result<_, _>>()?;
     let point: [f32; 3] = point
         .try_into()
-        .map_err(|_| "give three numbers as in 1,2,3")?;
+        .map_err(|_| "X,Y,Z must be three numbers, as in 1,2,3")?;
     let axis = ["x", "y", "z"]
         .iter()
         .position(|a| a == up)
-        .ok_or("UP is x, y or z")?;
+        .ok_or("UP must be x, y or z")?;
     let start = Instant::now();
     let scene = sightline_scene::load(Path::new(path))?;
     println!(
@@ -82,7 +83,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let start = Instant::now();
     let mut tree = Tree::new(&scene, &[point]);
-    let found = enclose(&mut tree, &[point], Limits::default(), &mut |_| true);
+    let found = enclose(&mut tree, &[point], EnclosureLimits::default(), &mut |_| {
+        true
+    });
     let inside: Vec<LeafId> = reached(&tree, &[point])
         .into_iter()
         .filter(|l| *l != OUTSIDE)
@@ -91,7 +94,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let answer = match found {
         Enclosure::Closed => "walls enclose the point",
         Enclosure::Leak(..) => "a way leads out",
-        Enclosure::Unknown | Enclosure::Stopped => "there are too many walls",
+        Enclosure::Unknown | Enclosure::Stopped => "the limits end the search",
     };
     println!(
         "divide until {answer}: {} of {} leaves reached: {:.0} ms",
@@ -107,7 +110,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             &scene,
             Some(&region),
             scene.bounds(),
-            Limits::default(),
+            EnclosureLimits::default(),
             &|| false,
         )?;
         println!(
@@ -115,7 +118,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             milliseconds(start)
         );
         let grid: Vec<u32> = grid.split('x').map(str::parse).collect::<Result<_, _>>()?;
-        let grid: [u32; 3] = grid.try_into().map_err(|_| "give cells as in 8x8x8")?;
+        let grid: [u32; 3] = grid
+            .try_into()
+            .map_err(|_| "CELLS must be three numbers, as in 8x8x8")?;
         let start = Instant::now();
         let (cells, listed) = search(&partition, scene.bounds(), UVec3::from(grid));
         let each = milliseconds(start) / f64::from(cells.max(1));
@@ -123,7 +128,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("search, {cells} cells with viewpoints: {each:.1} ms each, {mean} triangles each");
     }
 
-    // Off the corners, which often have round coordinates.
+    // Displace the cut slightly, because many corners have round coordinates and would lie in it.
     let cut = Cut(
         axis,
         f64::from(point[axis])
@@ -192,7 +197,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Searches from all cells of a grid; gives the number of those with viewpoints, and of all triangles listed.
+/// Searches from all cells of a grid. Returns the number of cells with viewpoints, and the sum of their set
+/// sizes.
 fn search(partition: &Partition, bounds: Aabb, grid: UVec3) -> (u32, usize) {
     let size = (bounds.max - bounds.min) / grid.as_vec3();
     let (mut cells, mut listed) = (0, 0);

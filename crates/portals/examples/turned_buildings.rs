@@ -1,5 +1,7 @@
-//! What portals and exact queries list in random buildings, straight and turned by half a radian. Corners of
-//! these walls lie on the edges of others, so turning opens cracks.
+//! Example program that compares the triangles listed by portals and by exact queries in random buildings.
+//!
+//! Each building is straight or turned by half a radian. Corners of these walls lie on the edges of other
+//! walls, so the turn opens cracks.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,9 +1,10 @@
-//! View cells along walls: a kd-tree of boxes whose planes are walls across an axis, where there are some
-//! (Teller 1992, sections 5.2.1 and 5.2.2).
+//! View cells along walls: a kd-tree of boxes whose planes are walls perpendicular to an axis, if such walls
+//! exist (Teller 1992, sections 5.2.1 and 5.2.2).
 //!
-//! The largest box is divided next: along the wall that covers most of it, less the more unevenly it divides,
-//! and in the middle of its longest side where no wall covers much. Which planes are chosen decides how large
-//! sets are, never whether they are right, so the arithmetic is rounded.
+//! The algorithm divides the box with the largest volume next. The dividing plane contains the walls that
+//! cover most of the box's section, with a penalty for uneven division. If no walls cover enough, the plane
+//! is perpendicular to the box's longest side and in its middle. The choice of planes affects the size of
+//! sets but never their correctness, so the arithmetic is rounded.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -14,34 +15,42 @@ use sightline_scene::Scene;
 use sightline_viewcells::division::ROUNDING;
 use sightline_viewcells::kd_tree::{KdTree, MOST_PLANES};
 
-use crate::enclose::WALL;
+use crate::enclosure::WALL;
 use crate::planes::{blocks, by_place};
 
-/// How much an uneven division counts against a covered section.
+/// The weight of an uneven division against the covered fraction of the section.
 const UNEVEN: f64 = 0.3;
-/// The least width of a box, in roundings of the greatest coordinate.
+/// The minimum width of a box, in units of the rounding error of the view box's largest coordinate.
 const LEAST: f32 = 64.0;
-/// Boxes with more planes above them are halved, so that a row of walls makes no tree that is too deep.
+/// The depth in the tree from which the algorithm halves boxes instead of dividing them along walls.
+///
+/// This bounds the depth of the tree if a scene has a long row of walls.
 const DEEP: usize = MOST_PLANES / 2;
 
-/// A triangle across an axis: the axis, its level, and its corners along the other axes.
+/// A wall triangle perpendicular to an axis.
 struct Wall {
     axis: usize,
+    /// The coordinate of the triangle on the axis.
     level: f32,
+    /// The coordinates of the corners on the other two axes.
     corners: [DVec2; 3],
 }
 
-/// A box of the tree, and its planes' children.
+/// A box of the tree.
 struct BoxNode {
-    of: Aabb,
+    bounds: Aabb,
     depth: usize,
+    /// The plane that divides the box, as axis and coordinate on the axis, and the indices of both child
+    /// boxes. `None` for a leaf.
     split: Option<(usize, f32, [usize; 2])>,
 }
 
-/// A tree of at most `most` boxes of a view box. Boxes for which `is_used` is false are divided no further.
+/// Divides a view box into a kd-tree of at most `most` boxes.
+///
+/// The function does not divide a box for which `is_used` returns false.
 ///
 /// # Panics
-/// When `most` is 0 or above the most boxes of a [`KdTree`].
+/// If `most` is 0 or above the maximum number of boxes of a [`KdTree`].
 pub fn along_walls(
     scene: &Scene,
     view_box: Aabb,
@@ -56,16 +65,17 @@ pub fn along_walls(
         .collect();
     let all: Vec<u32> = (0..walls.len() as u32).collect();
     let mut nodes = vec![BoxNode {
-        of: view_box,
+        bounds: view_box,
         depth: 0,
         split: None,
     }];
     let mut boxes = 1;
-    // Volumes are not negative, so their bits are in their order; the first of equals comes first.
+    // The bits of volumes have the order of the volumes, because volumes are not negative. Of equal volumes,
+    // the node with the lowest index comes first.
     let mut open = BinaryHeap::new();
-    let offer = |open: &mut BinaryHeap<_>, node: usize, of: Aabb, inside: Vec<u32>| {
-        if is_used(of) {
-            let size = (of.max - of.min).as_dvec3();
+    let offer = |open: &mut BinaryHeap<_>, node: usize, node_bounds: Aabb, inside: Vec<u32>| {
+        if is_used(node_bounds) {
+            let size = (node_bounds.max - node_bounds.min).as_dvec3();
             open.push((size.element_product().to_bits(), Reverse(node), inside));
         }
     };
@@ -73,7 +83,7 @@ pub fn along_walls(
     while boxes < most
         && let Some((_, Reverse(node), inside)) = open.pop()
     {
-        let (bounds, depth) = (nodes[node].of, nodes[node].depth);
+        let (bounds, depth) = (nodes[node].bounds, nodes[node].depth);
         let wall = if depth < DEEP {
             best(&walls, &inside, bounds, least)
         } else {
@@ -88,18 +98,18 @@ pub fn along_walls(
         let children = [nodes.len(), nodes.len() + 1];
         nodes[node].split = Some((axis, at, children));
         boxes += 1;
-        for (of, child) in [below, above].into_iter().zip(children) {
+        for (bounds, child) in [below, above].into_iter().zip(children) {
             nodes.push(BoxNode {
-                of,
+                bounds,
                 depth: depth + 1,
                 split: None,
             });
             let in_it = inside
                 .iter()
                 .copied()
-                .filter(|k| covered(&walls[*k as usize], of) > 0.0);
+                .filter(|k| covered(&walls[*k as usize], bounds) > 0.0);
             if depth + 1 < MOST_PLANES {
-                offer(&mut open, child, of, in_it.collect());
+                offer(&mut open, child, bounds, in_it.collect());
             }
         }
     }
@@ -117,12 +127,12 @@ pub fn along_walls(
     KdTree::new(&axes, &planes).expect("the boxes are a tree")
 }
 
-/// A triangle as a wall, if it blocks and is across an axis.
+/// Returns a triangle as a wall if the triangle blocks and is perpendicular to an axis.
 fn wall(scene: &Scene, id: u32) -> Option<Wall> {
     let v = scene.triangles()[id as usize].v;
     let axis = (0..3).find(|a| v.iter().all(|p| p[*a] == v[0][*a]))?;
     let along = |p: Vec3| DVec2::new(f64::from(p[(axis + 1) % 3]), f64::from(p[(axis + 2) % 3]));
-    // −0 and 0 are one level.
+    // −0 and 0 are the same coordinate.
     blocks(scene, id).then(|| Wall {
         axis,
         level: v[0][axis] + 0.0,
@@ -130,13 +140,18 @@ fn wall(scene: &Scene, id: u32) -> Option<Wall> {
     })
 }
 
-/// The area of a wall within a box; 0 if its level is not in the closed box.
-fn covered(wall: &Wall, of: Aabb) -> f64 {
-    if !(of.min[wall.axis] <= wall.level && wall.level <= of.max[wall.axis]) {
+/// Computes the area of the part of a wall that is within a box.
+///
+/// The area is 0 if the plane of the wall does not meet the closed box.
+fn covered(wall: &Wall, region: Aabb) -> f64 {
+    if !(region.min[wall.axis] <= wall.level && wall.level <= region.max[wall.axis]) {
         return 0.0;
     }
     let [a, b] = [(wall.axis + 1) % 3, (wall.axis + 2) % 3];
-    let bounds = [(0, of.min[a], of.max[a]), (1, of.min[b], of.max[b])];
+    let bounds = [
+        (0, region.min[a], region.max[a]),
+        (1, region.min[b], region.max[b]),
+    ];
     let mut part = wall.corners.to_vec();
     for (axis, min, max) in bounds {
         for (level, sign) in [(f64::from(min), 1.0), (f64::from(max), -1.0)] {
@@ -152,7 +167,8 @@ fn covered(wall: &Wall, of: Aabb) -> f64 {
     fan.sum::<f64>().abs() / 2.0
 }
 
-/// The part of a polygon where `sign` times the distance from a level is not negative.
+/// Returns the part of a polygon where `sign` times the coordinate along `axis`, relative to `level`, is not
+/// negative.
 fn clip(part: &[DVec2], axis: usize, level: f64, sign: f64) -> Vec<DVec2> {
     let far = |p: DVec2| sign * (p[axis] - level);
     let mut out = Vec::with_capacity(part.len() + 1);
@@ -169,22 +185,27 @@ fn clip(part: &[DVec2], axis: usize, level: f64, sign: f64) -> Vec<DVec2> {
     out
 }
 
-/// The wall that divides a box best.
-fn best(walls: &[Wall], inside: &[u32], of: Aabb, least: f32) -> Option<(usize, f32)> {
+/// Returns the best plane of walls for the division of a box, as its axis and its coordinate on the axis.
+///
+/// Both parts of the box must be at least `least` wide. The result is `None` if no plane has walls that cover
+/// at least the fraction [`WALL`] of the box's section.
+fn best(walls: &[Wall], inside: &[u32], bounds: Aabb, least: f32) -> Option<(usize, f32)> {
     let mut areas: BTreeMap<(usize, u32), (f32, f64)> = BTreeMap::new();
     for wall in inside.iter().map(|k| &walls[*k as usize]) {
-        if wall.level - of.min[wall.axis] >= least && of.max[wall.axis] - wall.level >= least {
+        if wall.level - bounds.min[wall.axis] >= least
+            && bounds.max[wall.axis] - wall.level >= least
+        {
             areas
                 .entry((wall.axis, wall.level.to_bits()))
                 .or_insert((wall.level, 0.0))
-                .1 += covered(wall, of);
+                .1 += covered(wall, bounds);
         }
     }
-    let size = (of.max - of.min).as_dvec3();
+    let size = (bounds.max - bounds.min).as_dvec3();
     let merit = |((axis, _), (level, area)): (&(usize, u32), &(f32, f64))| {
         let section = size[(axis + 1) % 3] * size[(axis + 2) % 3];
         let covered = (area / section).min(1.0);
-        let place = f64::from(level - of.min[*axis]) / size[*axis];
+        let place = f64::from(level - bounds.min[*axis]) / size[*axis];
         (covered >= WALL).then_some((
             covered - UNEVEN * (2.0 * place - 1.0).abs(),
             (*axis, *level),
@@ -200,15 +221,17 @@ fn best(walls: &[Wall], inside: &[u32], of: Aabb, least: f32) -> Option<(usize, 
         .map(|(_, plane)| plane)
 }
 
-/// The middle of the longest side of a box.
-fn middle(of: Aabb, least: f32) -> Option<(usize, f32)> {
-    let size = of.max - of.min;
+/// Returns the axis of a box's longest side, and the coordinate of the middle of this side.
+///
+/// The result is `None` if a half would be narrower than `least`.
+fn middle(bounds: Aabb, least: f32) -> Option<(usize, f32)> {
+    let size = bounds.max - bounds.min;
     let axis = (1..3).fold(
         0,
         |longest, a| if size[a] > size[longest] { a } else { longest },
     );
-    let at = of.min[axis].midpoint(of.max[axis]) + 0.0;
-    (at - of.min[axis] >= least && of.max[axis] - at >= least).then_some((axis, at))
+    let at = bounds.min[axis].midpoint(bounds.max[axis]) + 0.0;
+    (at - bounds.min[axis] >= least && bounds.max[axis] - at >= least).then_some((axis, at))
 }
 
 #[cfg(test)]
@@ -216,7 +239,7 @@ mod tests {
     use super::*;
     use sightline_scene::{Object, Triangle};
 
-    /// A wall across x at 1/4 that covers all of the unit cube's section.
+    /// Creates a scene with a wall across x at 1/4 that covers the whole section of the unit cube.
     fn scene() -> Scene {
         let at = |y: f32, z: f32| Vec3::new(0.25, y, z);
         let triangles = vec![
@@ -236,14 +259,14 @@ mod tests {
     }
 
     #[test]
-    fn walls_come_first_and_then_the_middle() {
+    fn division_prefers_walls_to_middle() {
         let cube = Aabb::new(Vec3::ZERO, Vec3::ONE);
         let divide_cube = |most, is_used: &dyn Fn(Aabb) -> bool| {
             along_walls(&scene(), cube, most, is_used).parts()
         };
         assert_eq!(divide_cube(1, &|_| true), (vec![3], vec![]));
         assert_eq!(divide_cube(2, &|_| true), (vec![0, 3, 3], vec![0.25]));
-        // The larger box is halved, along y as its sides along y and z are the longest.
+        // The larger box is halved along y, because its sides along y and z are the longest.
         assert_eq!(
             divide_cube(3, &|_| true),
             (vec![0, 3, 1, 3, 3], vec![0.25, 0.5])
@@ -255,9 +278,9 @@ mod tests {
         assert_eq!(divide_cube(8, &|_| false), (vec![3], vec![]));
     }
 
-    /// Floors of a tower that grows narrower: each is the best wall of what is left.
+    /// Uses the floors of a tower that grows narrower: each floor is the best wall of the remaining box.
     #[test]
-    fn a_row_of_walls_makes_no_deep_tree() {
+    fn row_of_walls_makes_no_deep_tree() {
         let floor = |k: usize| {
             let (x, y) = (1.0 - k as f32 / 400.0, k as f32);
             let at = |u: f32, v: f32| Vec3::new(x * u, y, x * v);

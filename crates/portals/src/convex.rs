@@ -1,4 +1,4 @@
-//! A convex part of a box, by the faces that bound it.
+//! A convex part of a box, represented by the faces that bound the part.
 
 use std::cmp::Ordering;
 
@@ -7,20 +7,21 @@ use sightline_numbers::Aabb;
 
 use crate::plane::{Face, Plane};
 
-/// The faces of a box, as a convex part that is the whole box.
-pub fn whole(of: Aabb) -> Vec<Face> {
-    Polygon::faces_of(of).map(Face::new).into()
+/// Returns the faces of a box: the convex part that is the whole box.
+pub fn whole(bounds: Aabb) -> Vec<Face> {
+    Polygon::faces_of(bounds).map(Face::new).into()
 }
 
-/// The parts of a convex part of a box on the lesser and on the greater side of a plane; without faces where
-/// there is none.
-pub fn divide(faces: Vec<Face>, plane: &Plane, of: Aabb) -> [Vec<Face>; 2] {
-    // A convex part has a volume on each side on which one of its corners is.
+/// Divides a convex part of a box into the parts on the lower and upper side of a plane.
+///
+/// A part that does not exist has no faces.
+pub fn divide(faces: Vec<Face>, plane: &Plane, bounds: Aabb) -> [Vec<Face>; 2] {
+    // If a corner of a convex part is strictly on a side of the plane, the part has a volume on that side.
     let sides: Vec<Vec<Ordering>> = faces.iter().map(|face| face.sides(plane)).collect();
     let on = |side: Ordering| sides.iter().flatten().any(|s| *s == side);
     match (on(Ordering::Less), on(Ordering::Greater)) {
         (true, true) => {
-            let cap = section(plane, &faces, of);
+            let cap = section(plane, &faces, bounds);
             [Ordering::Less, Ordering::Greater].map(|keep| {
                 let parts = faces
                     .iter()
@@ -35,12 +36,12 @@ pub fn divide(faces: Vec<Face>, plane: &Plane, of: Aabb) -> [Vec<Face>; 2] {
     }
 }
 
-/// The section of a plane with a convex part of a box.
-fn section(plane: &Plane, faces: &[Face], of: Aabb) -> Option<Face> {
-    let mut cap = Face::new(Polygon::section(plane.coefficients(), of)?);
+/// Computes the section of a plane with a convex part of a box.
+fn section(plane: &Plane, faces: &[Face], bounds: Aabb) -> Option<Face> {
+    let mut cap = Face::new(Polygon::section(plane.coefficients(), bounds)?);
     for face in faces {
-        let wall = Plane::of(face.polygon().plane());
-        // The part is on the side of any corner that is not in the wall.
+        let wall = Plane::from_coefficients(face.polygon().plane());
+        // The part is on the side of any of its corners that is not in the wall.
         let sides = faces.iter().flat_map(|other| other.sides(&wall));
         let inner = sides.into_iter().find(|side| *side != Ordering::Equal)?;
         let sides = cap.sides(&wall);

@@ -1,7 +1,7 @@
-//! The faces of a view cell along walls: a wall in a face blocks.
+//! The faces of a view cell along walls; a wall in a face blocks.
 //!
-//! Lines from the inside of such a cell leave it through the parts of its faces that no wall covers, and
-//! exact queries are asked from these parts alone.
+//! Lines from the inside of such a cell leave through the parts of its faces that no wall covers. Exact
+//! queries start only from these parts.
 
 use std::cmp::Ordering;
 
@@ -11,21 +11,24 @@ use sightline_geometry::predicates::orient2d_sign;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
-use crate::covered::divide_covered;
+use crate::face_cover::divide_covered;
 use crate::open_box::walls_in_faces;
 use crate::plane::{Face, Plane};
 
-/// A cell's faces without the walls in them, within the part of space where viewpoints are.
+/// The faces of a cell without the walls in them, restricted to the part of space with viewpoints.
 pub struct OpenFaces<'a> {
-    /// The axis, the level and the corners of each wall.
+    /// Each wall in a face of the cell: the axis that the wall is perpendicular to, the wall's coordinate on
+    /// that axis, and its corners.
     walls: Vec<(usize, f32, [Vec3; 3])>,
     within: Option<&'a dyn ExactViewRegion>,
 }
 
 impl<'a> OpenFaces<'a> {
-    /// The faces of a box of a scene, with viewpoints `within` a part of space, or everywhere.
-    pub fn new(scene: &Scene, of: Aabb, within: Option<&'a dyn ExactViewRegion>) -> Self {
-        let walls = walls_in_faces(scene, of);
+    /// Creates the open faces of a box of a scene.
+    ///
+    /// Viewpoints are in the part of space `within`, or everywhere if `within` is `None`.
+    pub fn new(scene: &Scene, cell: Aabb, within: Option<&'a dyn ExactViewRegion>) -> Self {
+        let walls = walls_in_faces(scene, cell);
         let with_corners = |(id, axis): (u32, usize)| {
             let v = scene.triangles()[id as usize].v;
             (axis, v[0][axis], v)
@@ -54,7 +57,7 @@ impl ExactViewRegion for OpenFaces<'_> {
             Some(within) => within.parts(face),
             None => vec![face.clone()],
         };
-        let plane = Plane::of(face.plane());
+        let plane = Plane::from_coefficients(face.plane());
         let covers = self.walls.iter().filter(|(axis, level, _)| {
             plane.axis() == *axis && plane.across() == Some(f64::from(*level))
         });
@@ -73,26 +76,28 @@ impl ExactViewRegion for OpenFaces<'_> {
         shares_area(triangle, within)
             && self
                 .within
-                .is_none_or(|places| places.touch(triangle, within))
+                .is_none_or(|region| region.touch(triangle, within))
     }
 }
 
-/// Whether a triangle has an area in common with a closed box: what touches it in an edge or a corner alone
-/// may be behind a wall.
-fn shares_area(triangle: [Vec3; 3], of: Aabb) -> bool {
+/// Returns true if a triangle shares an area with a closed box.
+///
+/// A triangle that touches the box only in an edge or a corner does not count, because it may be behind a
+/// wall.
+fn shares_area(triangle: [Vec3; 3], bounds: Aabb) -> bool {
     let Some(mut face) = Polygon::triangle(triangle.map(|v| v.as_dvec3())).map(Face::new) else {
         return false;
     };
-    for wall in Polygon::faces_of(of) {
-        let plane = Plane::of(wall.plane());
-        let inner = [of.min, of.max].map(|p| plane.side_of(p));
+    for wall in Polygon::faces_of(bounds) {
+        let plane = Plane::from_coefficients(wall.plane());
+        let inner = [bounds.min, bounds.max].map(|p| plane.side_of(p));
         let inner = if inner[0] == Ordering::Equal {
             inner[1]
         } else {
             inner[0]
         };
         let sides = face.sides(&plane);
-        // A triangle in a face is not cut by it.
+        // Do not cut a triangle in the plane of a face.
         if sides.iter().any(|side| *side != Ordering::Equal) {
             match face.part(&plane, &sides, inner) {
                 Some(part) => face = part,
@@ -108,10 +113,11 @@ mod tests {
     use super::*;
     use sightline_scene::{Object, Triangle};
 
-    /// A wall in the face x = 0 of the unit cube, that leaves its upper half open, and a shelf that touches
-    /// it from behind.
+    /// Uses a wall in the face x = 0 of the unit cube, and a shelf that touches the wall from behind.
+    ///
+    /// The wall leaves the upper half of the face open.
     #[test]
-    fn lines_leave_through_what_walls_leave_open() {
+    fn open_faces_exclude_walls_and_shelf_behind() {
         let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
         let triangles = vec![
             Triangle {

@@ -1,52 +1,56 @@
 //! Convex regions in doubles, each with a bound on how far the true region reaches beyond it.
 //!
-//! A portal that is clipped again and again would need ever longer exact numbers. Here every region R is
-//! known by corners in doubles and a slack s, so that each point of R is within s of the hull of the corners,
-//! and by a box that holds R without slack. Let h be a function of at most unit slope. A point of R with
-//! h ≥ 0 is within s of a point of the hull with h ≥ −s, so R ∩ {h ≥ 0} is known by the part of the hull with
-//! h ≥ −s and the same slack.
+//! If a portal is clipped repeatedly, its exact corners need ever longer numbers. So this module represents a
+//! region R by corners in doubles and a slack s: each point of R is within s of the hull of the corners. A
+//! box that contains R without slack complements them. Let h be a function of at most unit slope. A point of
+//! R with h ≥ 0 is within s of a point of the hull with h ≥ −s. So the part of the hull with h ≥ −s and the
+//! same slack represents R ∩ {h ≥ 0}.
 //!
-//! A polygon is clipped along its border alone. Its corners are within some d of its plane, and it is convex
-//! up to such a distance; R is in the plane, within e of the corners' projections, with e + d ≤ s. A point of
-//! R with h ≥ 0 is then within e of a point of the projected polygon with h ≥ −e, and the border between
-//! corners has heights that differ from the projected ones by at most d: what is dropped below −s is not
-//! needed. Clipping there, at a level below by the error of h, adds the rounding of the new corners to d and
-//! to the slack. Nothing is ever cut off that is lit; slacks stay near the resolution of doubles at the
-//! scene's greatest coordinate.
+//! A polygon is clipped only along its border. Its corners are within some distance d of its plane, and it is
+//! convex up to such a distance. R is in the plane, within e of the corners' projections, with e + d ≤ s. A
+//! point of R with h ≥ 0 is then within e of a point of the projected polygon with h ≥ −e. Between corners,
+//! the heights of the border differ from the projected heights by at most d, so the part below −s is not
+//! needed. Clipping at a level that is lower by the error of h adds the rounding of the new corners to d and
+//! to the slack. Clipping never removes a point of R with h ≥ 0. Slacks stay near the resolution of doubles
+//! at the scene's largest coordinate.
 
 use glam::{DVec2, DVec3};
-use sightline_exact::{Polygon, Source, polygon};
+use sightline_exact::{PointOrigin, Polygon, polygon};
 use sightline_geometry::rounding::UNIT as U;
 
 use crate::plane::{Plane, PlaneId};
 
-/// Most corners; what would have more is not clipped.
+/// The maximum number of corners. A polygon that would get more corners is not clipped.
 const MOST_CORNERS: usize = 16;
-/// Normals are at most this long.
+/// The maximum length of a normal.
 const LENGTH: f64 = 1.01;
 
-/// The errors of doubles in a scene.
+/// Bounds on the rounding errors of computations with points of a scene in doubles.
 #[derive(Clone, Copy, Debug)]
-pub struct Errors {
-    /// The greatest magnitude of a coordinate.
+pub struct ErrorBounds {
+    /// The largest magnitude of a coordinate.
     size: f64,
 }
 
-impl Errors {
-    /// For points with coordinates of at most `size`.
+impl ErrorBounds {
+    /// Creates the error bounds for points with coordinates of magnitude at most `size`.
     pub fn new(size: f64) -> Self {
         Self { size }
     }
 
-    /// The greatest error of a height: a normal of at most `LENGTH` times a point, three products and three
-    /// sums, less a level of at most twice their size. Each of the seven roundings is at most u of
+    /// Returns the largest error of the height of a point above a half-space's border.
+    ///
+    /// The height is the product of a normal of length at most `LENGTH` and a point (three products and three
+    /// sums), less a level of at most twice their size. Each of the seven roundings is at most u of
     /// 1.01·√3·size or of twice that.
     pub fn height(self) -> f64 {
         32.0 * U * self.size
     }
 
-    /// How far a new corner is from the place between two others that it stands for: each coordinate has
-    /// three roundings of at most 2u of the size.
+    /// Returns the largest distance of a new corner, computed on the edge between two corners, from the exact
+    /// point on that edge.
+    ///
+    /// Each coordinate has three roundings of at most 2u of the size.
     pub fn corner(self) -> f64 {
         16.0 * U * self.size
     }
@@ -55,15 +59,18 @@ impl Errors {
 /// A closed half-space n·x ≥ level, exact for these doubles.
 #[derive(Clone, Copy, Debug)]
 pub struct HalfSpace {
-    /// At most `LENGTH` long.
+    /// The normal n, which points inside and has at most the length `LENGTH`.
     normal: DVec3,
     level: f64,
-    /// The axis along which the normal is ±1, and whether it is +1.
+    /// The axis along which the normal is ±1, and true if it is +1.
     across: Option<(usize, bool)>,
 }
 
 impl HalfSpace {
-    /// The half-space; `None` when the normal is too long, or not finite.
+    /// Creates a half-space from its normal and level.
+    ///
+    /// The result is `None` unless the squared length of the normal is from 0.99 to 1.001 and the level is
+    /// finite.
     pub fn new(normal: DVec3, level: f64) -> Option<Self> {
         let length = normal.length_squared();
         let is_fine = (0.99..=1.0 + 1e-3).contains(&length) && level.is_finite();
@@ -74,7 +81,9 @@ impl HalfSpace {
         })
     }
 
-    /// The points whose coordinate along an axis is at least (`is_up`) or at most `at`.
+    /// Creates the half-space of the points whose coordinate along an axis is bounded by `at`.
+    ///
+    /// The coordinate is at least `at` if `is_up` is true, and at most `at` otherwise.
     pub fn across(axis: usize, is_up: bool, at: f64) -> Self {
         let mut normal = DVec3::ZERO;
         normal[axis] = if is_up { 1.0 } else { -1.0 };
@@ -85,14 +94,15 @@ impl HalfSpace {
         }
     }
 
-    /// The half-space on one side of a plane, or one that holds it.
-    pub fn beside(plane: &Plane, is_above: bool, errors: Errors) -> Option<Self> {
+    /// Creates the half-space above (`is_above` is true) or below a plane, or a slightly larger half-space
+    /// that contains it. The result is `None` if doubles cannot represent the half-space.
+    pub fn beside(plane: &Plane, is_above: bool, errors: ErrorBounds) -> Option<Self> {
         let axis = plane.axis();
         let up = plane.normal()[axis] > 0.0;
         if let Some(level) = plane.across() {
             return Some(Self::across(axis, up == is_above, level));
         }
-        // Scaled first, so that no square overflows.
+        // Scale the coefficients first, so that no square overflows.
         let coefficients = plane.rounded();
         let most = coefficients[axis].abs();
         let [a, b, c, k] = coefficients.map(|x| x / most);
@@ -105,12 +115,12 @@ impl HalfSpace {
         )
     }
 
-    /// The normal; it points inside.
+    /// Returns the normal, which points inside.
     pub fn normal(&self) -> DVec3 {
         self.normal
     }
 
-    /// The height of a point above the border, rounded.
+    /// Computes the rounded height of a point above the half-space's border; the height is negative outside.
     pub fn height(&self, at: DVec3) -> f64 {
         self.normal.dot(at) - self.level
     }
@@ -121,15 +131,15 @@ impl HalfSpace {
 pub struct Hull {
     /// The corners.
     pub corners: Vec<DVec3>,
-    /// How far the region may reach beyond the corners' hull.
+    /// The maximum distance of the region's points from the corners' hull.
     pub slack: f64,
-    /// A box that holds the region.
+    /// A box that contains the region without slack.
     pub bounds: [DVec3; 2],
 }
 
 impl Hull {
-    /// The hull of points, given exactly.
-    pub fn of(points: &mut dyn Iterator<Item = &Source>) -> Self {
+    /// Computes the hull of points that are given exactly.
+    pub fn from_points(points: &mut dyn Iterator<Item = &PointOrigin>) -> Self {
         let mut hull = Self {
             corners: Vec::new(),
             slack: 0.0,
@@ -137,10 +147,10 @@ impl Hull {
         };
         for point in points {
             let at = polygon::rounded(point);
-            // A rounded coordinate is off by at most 3u of itself; one that is exact has no error.
+            // A rounded coordinate is off by at most 3u of itself; an exact coordinate has no error.
             let error = polygon::is_rounded(point).map(|is| if is { 1.0 } else { 0.0 });
             let error = DVec3::from(error) * at.abs() * (4.0 * U);
-            // A sum is off by u of itself, which 4u instead of 3u covers.
+            // The sum is off by u of itself, which the factor 4u instead of 3u covers.
             hull.bounds = [
                 hull.bounds[0].min(at - error),
                 hull.bounds[1].max(at + error),
@@ -153,36 +163,36 @@ impl Hull {
         hull
     }
 
-    /// Whether the region certainly has no inside in a half-space.
-    fn is_outside(&self, of: &HalfSpace, errors: Errors) -> bool {
-        if let Some((axis, is_up)) = of.across {
+    /// Returns true if the region certainly does not reach into the interior of a half-space.
+    fn is_outside(&self, half_space: &HalfSpace, errors: ErrorBounds) -> bool {
+        if let Some((axis, is_up)) = half_space.across {
             let far = if is_up {
                 self.bounds[1][axis]
             } else {
                 -self.bounds[0][axis]
             };
-            if far <= of.level {
+            if far <= half_space.level {
                 return true;
             }
         }
         let least = self.slack * LENGTH + errors.height();
-        self.corners.iter().all(|c| of.height(*c) < -least)
+        self.corners.iter().all(|c| half_space.height(*c) < -least)
     }
 
-    /// Whether the region certainly is in a half-space.
-    pub fn is_inside(&self, of: &HalfSpace, errors: Errors) -> bool {
-        if let Some((axis, is_up)) = of.across {
+    /// Returns true if the region certainly is inside a half-space.
+    pub fn is_inside(&self, half_space: &HalfSpace, errors: ErrorBounds) -> bool {
+        if let Some((axis, is_up)) = half_space.across {
             let near = if is_up {
                 self.bounds[0][axis]
             } else {
                 -self.bounds[1][axis]
             };
-            if near >= of.level {
+            if near >= half_space.level {
                 return true;
             }
         }
         let least = self.slack * LENGTH + errors.height();
-        self.corners.iter().all(|c| of.height(*c) >= least)
+        self.corners.iter().all(|c| half_space.height(*c) >= least)
     }
 }
 
@@ -191,20 +201,20 @@ impl Hull {
 pub struct Outline {
     /// The corners in order, and the slack.
     pub hull: Hull,
-    /// The axis along which it is projected: that along which the normal is longest.
+    /// The axis of the projection, along which the normal is longest.
     axis: usize,
-    /// How far a corner may be off the plane.
+    /// The maximum distance of a corner from the plane.
     off: f64,
-    /// The plane that it is in, if it is one of the scene's.
+    /// The plane of the polygon, if it is a plane of the scene.
     pub plane: Option<PlaneId>,
 }
 
 impl Outline {
-    /// The outline of a polygon.
+    /// Creates the outline of a polygon.
     pub fn around(polygon: &Polygon, normal: DVec3, plane: Option<PlaneId>) -> Self {
         let n = normal.abs();
         let axis = (1..3).fold(0, |best, k| if n[k] > n[best] { k } else { best });
-        let hull = Hull::of(&mut polygon.points().iter());
+        let hull = Hull::from_points(&mut polygon.points().iter());
         Self {
             off: hull.slack,
             hull,
@@ -213,9 +223,10 @@ impl Outline {
         }
     }
 
-    /// The part inside some half-spaces; `None` when there is certainly none with an area.
-    pub fn within(&self, beam: &[HalfSpace], errors: Errors) -> Option<Self> {
-        // Most polygons are outside of one of them, which is found without any cut.
+    /// Returns an outline of the part inside all half-spaces of `beam`, or `None` if this part certainly has
+    /// no area.
+    pub fn within(&self, beam: &[HalfSpace], errors: ErrorBounds) -> Option<Self> {
+        // Most polygons are outside of one half-space. This test finds that half-space without a cut.
         if beam.iter().any(|half| self.hull.is_outside(half, errors)) {
             return None;
         }
@@ -232,16 +243,23 @@ impl Outline {
         Some(part.unwrap_or_else(|| self.clone()))
     }
 
-    /// The part inside a half-space that it is not outside of; `None` when that is all of it, or is not
-    /// known.
-    fn cut_by(&self, of: &HalfSpace, errors: Errors) -> Option<Self> {
+    /// Returns an outline of the part inside a half-space. The outline must not be certainly outside of the
+    /// half-space.
+    ///
+    /// The result is `None` if the function does not cut the outline, because no corner is certainly outside
+    /// or the outline has too many corners.
+    fn cut_by(&self, half_space: &HalfSpace, errors: ErrorBounds) -> Option<Self> {
         let hull = &self.hull;
         let n = hull.corners.len();
-        if n >= MOST_CORNERS || hull.is_inside(of, errors) {
+        if n >= MOST_CORNERS || hull.is_inside(half_space, errors) {
             return None;
         }
         let level = -(hull.slack * LENGTH + 2.0 * errors.height());
-        let heights: Vec<f64> = hull.corners.iter().map(|c| of.height(*c) - level).collect();
+        let heights: Vec<f64> = hull
+            .corners
+            .iter()
+            .map(|c| half_space.height(*c) - level)
+            .collect();
         if heights.iter().all(|h| *h >= 0.0) {
             return None;
         }
@@ -254,7 +272,7 @@ impl Outline {
             if (heights[i] >= 0.0) != (heights[j] >= 0.0) {
                 let (inside, outside) = if heights[i] >= 0.0 { (i, j) } else { (j, i) };
                 corners.push(cut(
-                    of,
+                    half_space,
                     level,
                     [hull.corners[inside], hull.corners[outside]],
                     [heights[inside], heights[outside]],
@@ -270,9 +288,13 @@ impl Outline {
             .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
         let wide = DVec3::splat(slack + errors.corner());
         let mut bounds = [hull.bounds[0].max(lo - wide), hull.bounds[1].min(hi + wide)];
-        if let Some((axis, is_up)) = of.across {
+        if let Some((axis, is_up)) = half_space.across {
             let end = usize::from(!is_up);
-            let at = if is_up { of.level } else { -of.level };
+            let at = if is_up {
+                half_space.level
+            } else {
+                -half_space.level
+            };
             bounds[end][axis] = if is_up {
                 bounds[end][axis].max(at)
             } else {
@@ -291,24 +313,26 @@ impl Outline {
         })
     }
 
-    /// The same outline with slack for [`Self::holds`] to find that others are inside.
+    /// Returns this outline with additional slack, so that [`Self::holds`] can return true for other outlines
+    /// inside it.
     #[must_use]
-    pub fn widened(mut self, errors: Errors) -> Self {
+    pub fn widened(mut self, errors: ErrorBounds) -> Self {
         self.hull.slack += 4.0 * self.off + 128.0 * errors.corner();
         self
     }
 
-    /// Whether both are in the same plane of the scene.
+    /// Returns true if both outlines are in the same plane of the scene.
     pub fn is_beside(&self, other: &Self) -> bool {
         self.plane.is_some() && self.plane == other.plane
     }
 
-    /// Whether another part of the same plane is certainly inside this one.
+    /// Returns true if another outline in the same plane is certainly inside this outline. False means that
+    /// this is unknown.
     ///
-    /// Both are compared in the projection. The longest component of a unit normal is at least 1/√3, so a
-    /// place that is off by t in the projection is off by √3t in the plane, and corners that are off the
-    /// plane by d and d' are apart by at most √3(d + d') beside. 2 stands for √3.
-    pub fn holds(&self, other: &Self, errors: Errors) -> bool {
+    /// The function compares both in the projection. The longest component of a unit normal is at least 1/√3,
+    /// so a point that is off by t in the projection is off by √3t in the plane. Corners that are off the
+    /// plane by d and d' are apart by at most √3(d + d') within the plane. The code uses 2 instead of √3.
+    pub fn holds(&self, other: &Self, errors: ErrorBounds) -> bool {
         let (own, its) = (&self.hull, &other.hull);
         let near = errors.corner();
         let apart = 2.0 * (2.0 * near + self.off + other.off);
@@ -330,13 +354,14 @@ impl Outline {
             .all(|c| is_within(&flat, self.flat(*c), near))
     }
 
-    /// The hull with another part of the same plane, up to the errors that [`Self::holds`] explains.
+    /// Computes an outline that contains this outline and another outline in the same plane, with slack for
+    /// the errors that [`Self::holds`] explains.
     #[must_use]
-    pub fn joined(&self, other: &Self, errors: Errors) -> Self {
+    pub fn joined(&self, other: &Self, errors: ErrorBounds) -> Self {
         let (own, its) = (&self.hull, &other.hull);
         let near = errors.corner();
         let all: Vec<DVec3> = own.corners.iter().chain(&its.corners).copied().collect();
-        // Each corner that is dropped is within two roundings of an edge of those that are left then.
+        // Each dropped corner is within two roundings of an edge of the corners that remained at that time.
         let dropped = 2.0 * (2.0 * near * all.len() as f64 + self.off + other.off);
         let hull = Hull {
             corners: self.around_all(all),
@@ -353,7 +378,7 @@ impl Outline {
         }
     }
 
-    /// The corners of the convex hull of points in the outline's plane (Andrew 1979).
+    /// Returns the corners of the convex hull of points in the outline's plane (Andrew 1979).
     fn around_all(&self, mut all: Vec<DVec3>) -> Vec<DVec3> {
         all.sort_by(|a, b| {
             let (a, b) = (self.flat(*a), self.flat(*b));
@@ -385,8 +410,9 @@ impl Outline {
     }
 }
 
-/// Whether a point is certainly inside a convex polygon, or within `near` of one of its edges, up to their
-/// rounding.
+/// Returns true if a point is certainly inside a convex polygon, or within `near` of an edge.
+///
+/// Both tests are correct up to the rounding of the polygon's corners.
 fn is_within(polygon: &[DVec2], p: DVec2, near: f64) -> bool {
     let n = polygon.len();
     let edges = || (0..n).map(|k| (polygon[k], polygon[(k + 1) % n]));
@@ -403,12 +429,14 @@ fn is_within(polygon: &[DVec2], p: DVec2, near: f64) -> bool {
     is_inside(least, most) || edges().any(|edge| from_edge(edge) <= near)
 }
 
-/// A place on an edge at or below a level, given the ends and their heights above it: inside, then outside.
-fn cut(of: &HalfSpace, level: f64, [p, q]: [DVec3; 2], [at_p, at_q]: [f64; 2]) -> DVec3 {
+/// Computes a point on an edge whose height is at most `level`.
+///
+/// The end `p` of the edge is inside and `q` outside; `at_p` and `at_q` are their heights above the level.
+fn cut(half_space: &HalfSpace, level: f64, [p, q]: [DVec3; 2], [at_p, at_q]: [f64; 2]) -> DVec3 {
     let mut t = at_p / (at_p - at_q);
     for _ in 0..3 {
         let at = p + (q - p) * t;
-        if t < 1.0 && of.height(at) <= level {
+        if t < 1.0 && half_space.height(at) <= level {
             return at;
         }
         t += (1.0 - t) * 1e-6 + 1e-12;

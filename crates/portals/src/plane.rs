@@ -1,44 +1,47 @@
-//! Planes through triangles of a scene: exact integers, with a filter in doubles that decides most signs.
+//! Planes through triangles of a scene: exact integers, and a filter in doubles that decides most signs.
 //!
 //! Coordinates are finite doubles, so a plane through three points has integer coefficients up to a power of
-//! two. Planes are equal exactly when their coefficients are, which makes coplanarity a comparison.
+//! two. Two planes are equal exactly if their coefficients are equal, so the test for coplanarity is a
+//! comparison.
 
 use std::cmp::Ordering;
 
 use dashu_int::{IBig, Sign};
 use glam::{DVec3, Vec3};
-use sightline_exact::{Polygon, Source, predicates};
+use sightline_exact::{PointOrigin, Polygon, predicates};
 use sightline_geometry::rounding::UNIT as U;
 
-/// A coordinate that is not 0 and smaller than this may have lost bits to underflow.
+/// The magnitude below which a nonzero coordinate may have lost bits to underflow.
 const TINY: f64 = 1e-150;
 
-/// The number of a plane in its [`crate::Planes`].
+/// The index of a plane in its [`crate::Planes`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlaneId(pub u32);
 
-/// The plane n·x = k. The first component of n that is not 0 is positive.
+/// The plane n·x = k. The first nonzero component of n is positive.
 #[derive(Clone, Debug)]
 pub struct Plane {
     /// n and k: integers without a common factor.
     exact: [IBig; 4],
-    /// The same, each rounded to the nearest double.
+    /// n and k, each rounded to the nearest double.
     near: [f64; 4],
     /// The axis along which n is longest.
     axis: usize,
-    /// The coordinate along the axis of all points, if n is along it and a double holds it.
+    /// The coordinate on the axis `axis` that all points of the plane have.
+    ///
+    /// The value is `None` unless n is parallel to the axis and a double represents the coordinate exactly.
     across: Option<f64>,
 }
 
 impl Plane {
-    /// The plane through three points that are not on a line.
+    /// Creates the plane through three points that are not on a line.
     pub fn through(v: [Vec3; 3]) -> Self {
-        let [a, b, c] = v.map(|p| predicates::integers(&Source::Given(p.as_dvec3())));
-        Self::of(predicates::plane([&a, &b, &c]))
+        let [a, b, c] = v.map(|p| predicates::integers(&PointOrigin::Given(p.as_dvec3())));
+        Self::from_coefficients(predicates::plane([&a, &b, &c]))
     }
 
-    /// The plane of these coefficients n and k, which have no common factor.
-    pub fn of(mut exact: [IBig; 4]) -> Self {
+    /// Creates the plane with the coefficients n and k, which must have no common factor.
+    pub fn from_coefficients(mut exact: [IBig; 4]) -> Self {
         if exact
             .iter()
             .find(|c| !c.is_zero())
@@ -57,7 +60,8 @@ impl Plane {
         let is_across = (0..3).all(|i| i == axis || exact[i].is_zero());
         let level = near[3] / near[axis];
         let is_level = || {
-            let [own, .., w] = predicates::integers(&Source::Given(DVec3::new(level, 0.0, 0.0)));
+            let [own, .., w] =
+                predicates::integers(&PointOrigin::Given(DVec3::new(level, 0.0, 0.0)));
             level.is_finite() && own * &exact[axis] == &exact[3] * w
         };
         let across = (is_across && is_level()).then_some(level);
@@ -69,40 +73,44 @@ impl Plane {
         }
     }
 
-    /// n and k.
+    /// Returns n and k.
     pub fn coefficients(&self) -> &[IBig; 4] {
         &self.exact
     }
 
-    /// The normal, rounded, of any length.
+    /// Returns the rounded normal, which need not have unit length.
     pub fn normal(&self) -> DVec3 {
         DVec3::new(self.near[0], self.near[1], self.near[2])
     }
 
-    /// The axis along which the normal is longest.
+    /// Returns the axis along which the normal is longest.
     pub fn axis(&self) -> usize {
         self.axis
     }
 
-    /// n and k, each rounded to the nearest double.
+    /// Returns n and k, each rounded to the nearest double.
     pub fn rounded(&self) -> [f64; 4] {
         self.near
     }
 
-    /// The coordinate of all points, for a plane across an axis where a double holds it. Its normal points up
-    /// the axis.
+    /// Returns the coordinate on [`Plane::axis`] that all points of the plane have. The result is `None`
+    /// unless the plane is perpendicular to the axis and a double represents the coordinate exactly.
+    ///
+    /// The normal of a plane with such a coordinate points in the positive direction of the axis.
     pub fn across(&self) -> Option<f64> {
         self.across
     }
 
-    /// On which side of the plane a point lies: `Greater` where n·x > k. `at` is the point, rounded.
+    /// Returns the side of the plane on which a point lies: `Greater` if n·x > k.
+    ///
+    /// `at` is the point rounded to doubles.
     ///
     /// A coordinate is off by at most 3u of itself (u = 2⁻⁵³) and a coefficient by u. A product is then off
-    /// by 5u of itself, and the three sums add at most 3u of the sum of magnitudes. 16u also covers the
-    /// roundings of the bound.
-    pub fn side(&self, point: &Source, at: DVec3) -> Ordering {
-        // Two doubles are compared exactly; none is NaN.
-        if let (Some(level), Source::Given(p)) = (self.across, point) {
+    /// by 5u of itself, and the three sums add at most 3u of the sum of magnitudes. The bound 16u also covers
+    /// its own roundings.
+    pub fn side(&self, point: &PointOrigin, at: DVec3) -> Ordering {
+        // The comparison of two doubles is exact; neither is NaN.
+        if let (Some(level), PointOrigin::Given(p)) = (self.across, point) {
             return p[self.axis].partial_cmp(&level).unwrap_or(Ordering::Equal);
         }
         let [a, b, c, k] = self.near;
@@ -123,20 +131,20 @@ impl Plane {
         ))
     }
 
-    /// On which side of the plane a point of single precision lies.
+    /// Returns the side of the plane on which a point in single precision lies.
     pub fn side_of(&self, point: Vec3) -> Ordering {
         let at = point.as_dvec3();
-        self.side(&Source::Given(at), at)
+        self.side(&PointOrigin::Given(at), at)
     }
 
-    /// The distance of a point from the plane, rounded; positive where n·x > k.
+    /// Returns the rounded distance of a point from the plane, positive if n·x > k.
     pub fn distance(&self, at: DVec3) -> f64 {
         let normal = self.normal();
         (normal.dot(at) - self.near[3]) / normal.length()
     }
 }
 
-/// A convex polygon with its corners in doubles, each coordinate correct to 3u.
+/// A convex polygon with its corners in doubles; each coordinate is off by at most 3u of itself.
 #[derive(Clone, Debug)]
 pub struct Face {
     polygon: Polygon,
@@ -146,7 +154,7 @@ pub struct Face {
 }
 
 impl Face {
-    /// The polygon with its corners rounded.
+    /// Creates a face from a polygon and rounds its corners.
     pub fn new(polygon: Polygon) -> Self {
         let at = polygon.rounded();
         let around = |[min, max]: [DVec3; 2], p: &DVec3| [min.min(*p), max.max(*p)];
@@ -160,22 +168,22 @@ impl Face {
         }
     }
 
-    /// The exact polygon.
+    /// Returns the exact polygon.
     pub fn polygon(&self) -> &Polygon {
         &self.polygon
     }
 
-    /// The exact polygon, by value.
+    /// Converts the face to its exact polygon.
     pub fn into_polygon(self) -> Polygon {
         self.polygon
     }
 
-    /// The corners, rounded, in order.
+    /// Returns the rounded corners in order.
     pub fn corners(&self) -> &[DVec3] {
         &self.at
     }
 
-    /// On which side of a plane each corner is.
+    /// Computes the side of a plane on which each corner of the face lies.
     pub fn sides(&self, plane: &Plane) -> Vec<Ordering> {
         self.polygon
             .points()
@@ -185,7 +193,9 @@ impl Face {
             .collect()
     }
 
-    /// The part on the side `keep` of a plane, given each corner's side; `None` if no corner is on that side.
+    /// Returns the part of the face on the side `keep` of a plane, or `None` if no corner is on that side.
+    ///
+    /// `sides` contains the side of the plane on which each corner lies.
     pub fn part(&self, plane: &Plane, sides: &[Ordering], keep: Ordering) -> Option<Self> {
         if !sides.contains(&keep.reverse()) {
             return sides.contains(&keep).then(|| self.clone());
@@ -195,7 +205,10 @@ impl Face {
             .map(Self::new)
     }
 
-    /// The parts on the lesser and on the greater side of a plane; both are `None` for a face in the plane.
+    /// Returns the parts of the face on the lower and on the upper side of a plane. A part is `None` if the
+    /// face has no corner on that side.
+    ///
+    /// Both parts are `None` for a face in the plane.
     pub fn parts(self, plane: &Plane) -> [Option<Self>; 2] {
         let sides = self.sides(plane);
         match (
@@ -211,7 +224,7 @@ impl Face {
         }
     }
 
-    /// Twice the area, rounded.
+    /// Computes twice the area of the face, rounded.
     pub fn area(&self) -> f64 {
         let first = self.at[0];
         self.at
@@ -221,13 +234,15 @@ impl Face {
             .length()
     }
 
-    /// The mean of the corners, rounded.
+    /// Returns the rounded mean of the corners.
     pub fn middle(&self) -> DVec3 {
         self.at.iter().sum::<DVec3>() / self.at.len() as f64
     }
 
-    /// The least distance between two parallel lines of the face's plane with the face between them, rounded:
-    /// what is wider does not fit through.
+    /// Computes the width of the face, rounded: the smallest distance between two parallel lines in the plane
+    /// that enclose the face.
+    ///
+    /// A wider object does not fit through the face.
     pub fn width(&self) -> f64 {
         let n = self.at.len();
         let across = |i: usize| {
@@ -239,7 +254,7 @@ impl Face {
         (0..n).map(across).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether the boxes around both faces, rounded, are apart.
+    /// Returns true if the rounded boxes around both faces are disjoint.
     pub fn apart(&self, other: &Self) -> bool {
         let ([a, b], [c, d]) = (self.bounds, other.bounds);
         b.cmplt(c).any() || d.cmplt(a).any()

@@ -1,24 +1,24 @@
-//! All planes of a scene's blocking triangles and of its doors, each once.
+//! All planes of a scene's blocking triangles and doors, each plane once.
 
 use dashu_int::IBig;
 use rustc_hash::FxHashMap;
-use sightline_scene::Scene;
-use sightline_scene::kinds::Kind;
+use sightline_scene::kinds::SurfaceKind;
 use sightline_scene::sides::Side;
+use sightline_scene::{Scene, TriangleId};
 
 use crate::plane::{Plane, PlaneId};
 
 /// The planes of the triangles that divide space.
 pub struct Planes {
     planes: Vec<Plane>,
-    /// The first triangle in each plane.
+    /// For each plane, the id of its first triangle in the order of [`by_place`].
     triangles: Vec<u32>,
-    /// The plane of each triangle that divides space.
-    of: Vec<Option<PlaneId>>,
+    /// For each triangle, its plane, or `None` if the triangle does not divide space.
+    by_triangle: Vec<Option<PlaneId>>,
 }
 
 impl Planes {
-    /// The planes of a scene, in the order of their first triangles in [`by_place`].
+    /// Collects the planes of a scene, in the order of their first triangles in [`by_place`].
     pub fn new(scene: &Scene) -> Self {
         let mut known: FxHashMap<[IBig; 4], PlaneId> = FxHashMap::default();
         let (mut planes, mut triangles) = (Vec::new(), Vec::new());
@@ -37,49 +37,54 @@ impl Planes {
         Self {
             planes,
             triangles,
-            of: plane_ids,
+            by_triangle: plane_ids,
         }
     }
 
-    /// A plane.
+    /// Returns a plane.
     pub fn plane(&self, id: PlaneId) -> &Plane {
         &self.planes[id.0 as usize]
     }
 
-    /// The first triangle in a plane.
-    pub fn triangle(&self, id: PlaneId) -> u32 {
-        self.triangles[id.0 as usize]
+    /// Returns the first triangle in a plane.
+    pub fn triangle(&self, id: PlaneId) -> TriangleId {
+        TriangleId(self.triangles[id.0 as usize])
     }
 
-    /// The plane of a triangle that blocks.
-    pub fn of(&self, triangle: u32) -> Option<PlaneId> {
-        self.of[triangle as usize]
+    /// Returns the plane of a triangle, or `None` if the triangle does not divide space.
+    pub fn find_plane(&self, triangle: TriangleId) -> Option<PlaneId> {
+        self.by_triangle[triangle.at()]
     }
 
-    /// Number of planes.
+    /// Returns the number of planes.
     pub fn len(&self) -> usize {
         self.planes.len()
     }
 
-    /// Whether no triangle blocks.
+    /// Returns true if no triangle divides space.
     pub fn is_empty(&self) -> bool {
         self.planes.is_empty()
     }
 }
 
-/// Whether the plane of a triangle can divide space: it blocks every line that meets it, or is a door's.
+/// Returns true if the plane of a triangle can divide space.
+///
+/// The triangle must block every line that meets it, or belong to a door.
 pub fn divides(scene: &Scene, id: u32) -> bool {
     blocks(scene, id) || is_door(scene, id)
 }
 
-/// Whether a triangle with area is a door's.
+/// Returns true if a triangle has area and belongs to a door.
 pub fn is_door(scene: &Scene, id: u32) -> bool {
-    scene.kinds().kind(id) == Kind::Door && !scene.triangles()[id as usize].is_degenerate()
+    scene.kinds().kind(TriangleId(id)) == SurfaceKind::Door
+        && !scene.triangles()[id as usize].is_degenerate()
 }
 
-/// All triangles in the order of their corners' places, so that their order in the scene decides nothing.
+/// Returns the ids of all triangles, sorted by the coordinates of their corners.
+///
+/// The sort makes results independent of the order of the triangles in the scene.
 pub fn by_place(scene: &Scene) -> Vec<u32> {
-    // −0 and 0 are one coordinate; the bits of the others, turned so, are in their order.
+    // −0 and 0 are one coordinate. With this conversion, the bits of other coordinates are in their order.
     let key = |x: f32| {
         let bits = (x + 0.0).to_bits();
         if bits >> 31 == 1 {
@@ -98,7 +103,7 @@ pub fn by_place(scene: &Scene) -> Vec<u32> {
     all
 }
 
-/// Whether a triangle blocks every line that meets it.
+/// Returns true if a triangle blocks every line that meets it.
 pub fn blocks(scene: &Scene, id: u32) -> bool {
-    scene.blocks(id) && scene.sides().side(id) == Side::Both
+    scene.blocks(TriangleId(id)) && scene.sides().side(TriangleId(id)) == Side::Both
 }

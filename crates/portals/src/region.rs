@@ -1,7 +1,8 @@
-//! The reached leaves of a tree as a region of a job, and what a region holds.
+//! The region of a job: its computation from the reached leaves of a tree, and exact queries about its space.
 //!
-//! A region's planes are those of its scene's triangles, so all questions about it are answered exactly. It
-//! needs no box: a reached leaf that is not bounded by planes leads outside, and then the outside is reached.
+//! A region's planes are planes of its scene's triangles, so all queries are exact. A region needs no
+//! bounding box: if planes do not bound a reached leaf, the leaf leads outside, and then the points reach the
+//! outside, too.
 
 use std::cmp::Ordering;
 
@@ -14,21 +15,21 @@ use sightline_viewcells::{Region, RegionError, RegionNode};
 use crate::convex::{divide, whole};
 use crate::plane::{Face, Plane};
 use crate::planes::divides;
-use crate::tree::{LeafId, Node, Tree};
+use crate::tree::{BspNode, LeafId, Tree};
 
-/// The region of some leaves of a tree, ascending.
+/// Computes the region that consists of some leaves of a tree. `leaves` must be in ascending order.
 ///
 /// # Errors
-/// [`RegionError`] when it is too large for a job.
+/// [`RegionError`] if the region is too large for a job.
 pub fn region_of(tree: &Tree, leaves: &[LeafId]) -> Result<Region, RegionError> {
-    // Children have greater numbers than their parents, so one pass from the end knows all subtrees: a
-    // subtree that is wholly inside or outside becomes one node.
+    // Children have larger numbers than their parents, so one pass from the end visits subtrees before their
+    // parents. A subtree that is wholly inside or outside becomes one node.
     let nodes = tree.nodes();
     let mut whole: Vec<Option<bool>> = vec![None; nodes.len()];
     for (i, node) in nodes.iter().enumerate().rev() {
         whole[i] = match node {
-            Node::Leaf(leaf) => Some(leaves.binary_search(leaf).is_ok()),
-            Node::Split(_, [a, b]) => {
+            BspNode::Leaf(leaf) => Some(leaves.binary_search(leaf).is_ok()),
+            BspNode::Split(_, [a, b]) => {
                 let [a, b] = [a, b].map(|n| whole[*n as usize]);
                 if a == b { a } else { None }
             }
@@ -39,9 +40,9 @@ pub fn region_of(tree: &Tree, leaves: &[LeafId]) -> Result<Region, RegionError> 
     while let Some(at) = open.pop() {
         out.push(match (whole[at as usize], nodes[at as usize]) {
             (Some(true), _) => RegionNode::Inside,
-            (None, Node::Split(plane, [a, b])) => {
+            (None, BspNode::Split(plane, [a, b])) => {
                 open.extend([b, a]);
-                RegionNode::Split(tree.planes().triangle(plane))
+                RegionNode::Split(tree.planes().triangle(plane).0)
             }
             _ => RegionNode::Outside,
         });
@@ -49,13 +50,14 @@ pub fn region_of(tree: &Tree, leaves: &[LeafId]) -> Result<Region, RegionError> 
     Region::new(out)
 }
 
-/// A region with its planes.
+/// The region of a job with its planes, for exact queries about its space.
 #[derive(Debug)]
-pub struct Reached {
+pub struct RegionPlanes {
     nodes: Vec<SpacePart>,
 }
 
-/// A part of space: wholly outside, wholly inside, or divided. The lesser side of a plane is the next part.
+/// A part of space: wholly outside the region, wholly inside, or divided by a plane. The part on the lower
+/// side of the plane is the next entry of the list, and `greater` is the index of the part on the upper side.
 #[derive(Debug)]
 enum SpacePart {
     Outside,
@@ -63,21 +65,22 @@ enum SpacePart {
     Split { plane: Box<Plane>, greater: u32 },
 }
 
-/// A region that is not of the scene.
+/// The error that a region names a triangle without a plane in this scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the region of viewpoints names triangle {0}, which has no plane in this scene; is it another scene?"
+    "the region of viewpoints refers to triangle {0}, which has no plane in this scene; use the \
+     scene of the region"
 )]
 pub struct ForeignRegion(pub u32);
 
-impl Reached {
-    /// Finds the planes of a region.
+impl RegionPlanes {
+    /// Computes the planes of a region.
     ///
     /// # Errors
-    /// [`ForeignRegion`].
+    /// [`ForeignRegion`] if a triangle of the region does not divide space in this scene.
     pub fn new(region: &Region, scene: &Scene) -> Result<Self, ForeignRegion> {
         let mut nodes: Vec<SpacePart> = Vec::with_capacity(region.nodes().len());
-        // Splits whose greater side is still to come.
+        // The indices of the splits whose upper side has not started yet.
         let mut open: Vec<usize> = Vec::new();
         for node in region.nodes() {
             let number = nodes.len();
@@ -96,7 +99,8 @@ impl Reached {
                     } else {
                         SpacePart::Outside
                     });
-                    // The next node begins the greater side of the innermost split that has none yet.
+                    // The next node begins the upper side of the innermost split whose upper side has not
+                    // started.
                     if let Some(split) = open.pop()
                         && let SpacePart::Split { greater, .. } = &mut nodes[split]
                     {
@@ -108,7 +112,7 @@ impl Reached {
         Ok(Self { nodes })
     }
 
-    /// Whether a viewpoint can be at a point: whether it is in the closed region.
+    /// Returns true if a point is in the closed region, so that a viewpoint can be there.
     pub fn holds(&self, point: Vec3) -> bool {
         let mut open = vec![0u32];
         while let Some(at) = open.pop() {
@@ -125,9 +129,11 @@ impl Reached {
         false
     }
 
-    /// The parts of a cell's face through which free segments leave the cell, without common area: those in
-    /// the region. Of a face in a plane of the region they are in it on both sides of the plane; where one
-    /// side is outside, a wall is in the plane.
+    /// Returns the parts of a cell's face through which free segments from viewpoints leave the cell. The
+    /// parts do not overlap.
+    ///
+    /// The parts are in the region. If the face is in a plane of the region, a part must be in the region on
+    /// both sides of the plane; if one side is outside the region, a wall is in the plane.
     pub fn parts(&self, face: &Polygon) -> Vec<Polygon> {
         let parts = self.parts_from(0, Face::new(face.clone()));
         parts
@@ -136,7 +142,7 @@ impl Reached {
             .collect()
     }
 
-    /// The parts of a face that are in the region, from a node on.
+    /// Returns the parts of a face that are in the region below a node.
     fn parts_from(&self, node: u32, face: Face) -> Vec<Face> {
         let mut found = Vec::new();
         let mut open = vec![(node, face)];
@@ -150,7 +156,7 @@ impl Reached {
                         .iter()
                         .all(|side| *side == Ordering::Equal)
                     {
-                        // No other plane of the region is this one, so this happens once.
+                        // No other plane of the region equals this plane, so this branch runs once per path.
                         let lesser = self.parts_from(at + 1, face);
                         found.extend(
                             lesser
@@ -158,7 +164,7 @@ impl Reached {
                                 .flat_map(|part| self.parts_from(*greater, part)),
                         );
                     } else {
-                        open.extend(beside(plane, (at + 1, *greater), face));
+                        open.extend(beside(plane, at + 1, *greater, face));
                     }
                 }
             }
@@ -166,8 +172,10 @@ impl Reached {
         found
     }
 
-    /// Whether a triangle has an area in common with the closed region within a closed box. What touches it
-    /// in an edge or a corner alone is not met by lines in it.
+    /// Returns true if a triangle shares an area with the closed region within a closed box.
+    ///
+    /// A triangle that touches the region only in an edge or a corner does not count, because lines in the
+    /// region do not meet it.
     pub fn touches(&self, triangle: [Vec3; 3], within: Aabb) -> bool {
         let Some(mut face) = Polygon::triangle(triangle.map(|v| v.as_dvec3())).map(Face::new)
         else {
@@ -175,7 +183,7 @@ impl Reached {
         };
         let sticks_out = !triangle.iter().all(|v| within.contains(*v));
         for wall in Polygon::faces_of(within).into_iter().filter(|_| sticks_out) {
-            let plane = Plane::of(wall.plane());
+            let plane = Plane::from_coefficients(wall.plane());
             // The box is on the side of its corners that are not on the wall.
             let inner = [within.min, within.max].map(|p| plane.side_of(p));
             let inner = if inner[0] == Ordering::Equal {
@@ -184,7 +192,7 @@ impl Reached {
                 inner[0]
             };
             let sides = face.sides(&plane);
-            // A triangle in the plane of the wall is not cut.
+            // Do not cut a triangle in the plane of the wall.
             if sides.iter().any(|side| *side != Ordering::Equal) {
                 let Some(part) = face.part(&plane, &sides, inner) else {
                     return false;
@@ -198,33 +206,37 @@ impl Reached {
                 SpacePart::Outside => {}
                 SpacePart::Inside => return true,
                 SpacePart::Split { plane, greater } => {
-                    open.extend(beside(plane, (at + 1, *greater), face))
+                    open.extend(beside(plane, at + 1, *greater, face))
                 }
             }
         }
         false
     }
 
-    /// Whether the region has a volume within a box.
-    pub fn meets(&self, of: Aabb) -> bool {
-        self.solid(of, &mut |_| true).is_some()
+    /// Returns true if the region has a volume within a box.
+    pub fn meets(&self, bounds: Aabb) -> bool {
+        self.solid(bounds, &mut |_| true).is_some()
     }
 
-    /// A point of the region in a box; `None` when there is none, or single precision has none.
-    pub fn any_in(&self, of: Aabb) -> Option<Vec3> {
+    /// Returns a point that is in the region and in a box.
+    ///
+    /// The result is `None` if no such point exists, or if rounding to single precision moves every tried
+    /// point out of the region.
+    pub fn any_in(&self, bounds: Aabb) -> Option<Vec3> {
         let middle = |faces: &[Face]| {
             let corners = || faces.iter().flat_map(|face| face.corners());
             (corners().sum::<DVec3>() / corners().count() as f64)
                 .as_vec3()
-                .clamp(of.min, of.max)
+                .clamp(bounds.min, bounds.max)
         };
-        let solid = self.solid(of, &mut |faces| self.holds(middle(faces)));
+        let solid = self.solid(bounds, &mut |faces| self.holds(middle(faces)));
         solid.map(|faces| middle(&faces))
     }
 
-    /// The faces of the first convex part that the region has within a box and that `wanted` takes.
-    fn solid(&self, of: Aabb, wanted: &mut dyn FnMut(&[Face]) -> bool) -> Option<Vec<Face>> {
-        let mut open = vec![(0u32, whole(of))];
+    /// Returns the faces of the first convex part of the region within a box for which `wanted` returns true,
+    /// or `None` if no such part exists.
+    fn solid(&self, bounds: Aabb, wanted: &mut dyn FnMut(&[Face]) -> bool) -> Option<Vec<Face>> {
+        let mut open = vec![(0u32, whole(bounds))];
         while let Some((at, faces)) = open.pop() {
             match &self.nodes[at as usize] {
                 _ if faces.is_empty() => {}
@@ -232,7 +244,11 @@ impl Reached {
                 SpacePart::Inside if wanted(&faces) => return Some(faces),
                 SpacePart::Inside => {}
                 SpacePart::Split { plane, greater } => {
-                    open.extend([at + 1, *greater].into_iter().zip(divide(faces, plane, of)));
+                    open.extend(
+                        [at + 1, *greater]
+                            .into_iter()
+                            .zip(divide(faces, plane, bounds)),
+                    );
                 }
             }
         }
@@ -240,9 +256,11 @@ impl Reached {
     }
 }
 
-/// The parts of a face on both sides of a plane, with the nodes there. A face in the plane borders on both
-/// sides.
-pub(crate) fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -> Vec<(u32, Face)> {
+/// Returns the parts of a face on both sides of a plane, each with the node of its side: `lesser` or
+/// `greater`.
+///
+/// A face in the plane belongs to both sides.
+pub(crate) fn beside(plane: &Plane, lesser: u32, greater: u32, face: Face) -> Vec<(u32, Face)> {
     let sides = face.sides(plane);
     let in_plane = sides.iter().all(|side| *side == Ordering::Equal);
     [(lesser, Ordering::Less), (greater, Ordering::Greater)]
@@ -258,7 +276,7 @@ pub(crate) fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -
         .collect()
 }
 
-impl ExactViewRegion for Reached {
+impl ExactViewRegion for RegionPlanes {
     fn hold(&self, point: Vec3) -> bool {
         self.holds(point)
     }

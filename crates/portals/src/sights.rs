@@ -1,16 +1,17 @@
-//! What is seen from a view cell through portals: everything that the cell's lines can reach, and perhaps
-//! more (Teller 1992, sections 5.3 and 8.3).
+//! The triangles that are visible from a view cell through portals: a conservative set (Teller 1992, sections
+//! 5.3 and 8.3).
 //!
-//! Lines begin in the box around the parts of the cell where viewpoints are. They leave each leaf through its
-//! portals, and go on through those of the leaves beyond. For each portal there are a few outlines: the parts
-//! of it that lines from the cell can cross, by the ways they came. Beyond it they stay within the planes
-//! that separate the box from the outline. When one more way lights more of a portal, an outline grows to the
-//! hull of both, so the work is bounded by the portals and not by their sequences, of which there are
-//! exponentially many in open space.
+//! Lines begin in the box around the parts of the cell that contain viewpoints. Lines leave each leaf through
+//! its portals and continue through the portals of the leaves beyond. Each portal has at most two outlines
+//! per direction: the parts of the portal that lines from the cell can cross. Lines that reach the portal by
+//! different ways can have different outlines. Beyond the portal, the lines stay within the planes that
+//! separate the box from the outline. If lines on another way cross more of a portal, an outline grows to the
+//! hull of both. So the number of portals bounds the work, although open space has exponentially many
+//! sequences of portals.
 //!
-//! A line has crossed other portals before. With each outline there are two gates: the portal that all its
-//! lines have crossed just before, and the narrowest on their way. Planes that separate these from the
-//! outline bound the lines as well.
+//! A line that crosses an outline has crossed other portals before. Each outline has two gates: the portal
+//! that all lines through the outline crossed last, and the narrowest portal on their way. Planes that
+//! separate the gates from the outline bound the lines as well.
 
 use std::collections::VecDeque;
 
@@ -18,42 +19,44 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 use sightline_numbers::Aabb;
 
-use crate::beam::{Body, separators};
-use crate::outline::{Errors, HalfSpace, Outline};
-use crate::partition::{Part, Partition};
+use crate::beam::{LineSource, separators};
+use crate::outline::{ErrorBounds, HalfSpace, Outline};
+use crate::partition::{Partition, TrianglePart};
 use crate::plane::PlaneId;
 use crate::solids::Solid;
 use crate::tree::{LeafId, PortalId};
 
-/// How often the lit part of a portal grows before it is taken to be the whole portal, and how often its
-/// gates grow before nothing is known of them.
+/// The number of growths after which the search stops enlarging an outline, or its gates, step by step.
+///
+/// At this number, the outline becomes the whole portal, or the search removes the gates.
 const GROWTHS: u32 = 64;
-/// Most outlines of a portal.
+/// The maximum number of outlines of a portal per direction in which lines cross the portal.
 const WAYS: usize = 2;
 
-/// Finds the triangles that are not proved to be hidden from a box, ascending. `None` when `stop`, which is
-/// called now and then, returns true.
+/// Computes the triangles that are not proved to be hidden from a box, in ascending order.
 ///
-/// A segment may begin on a wall in a face of the box and go on at its other side: exact queries from a
-/// closed box count it. So unless the box `is_open`, lines also leave through each face into the leaves
-/// that lie behind it.
+/// The function calls `stop` repeatedly. The result is `None` if `stop` returns true.
+///
+/// A segment may begin on a wall in a face of the box and continue behind the wall, and exact queries from a
+/// closed box count such a segment. So lines also leave through each face into the leaves behind the face,
+/// unless `is_open` is true.
 pub fn sights(
     partition: &Partition,
-    of: Aabb,
+    cell: Aabb,
     is_open: bool,
     stop: &dyn Fn() -> bool,
 ) -> Option<Vec<u32>> {
-    let solids = partition.solids(of);
+    let solids = partition.solids(cell);
     let mut behind: Vec<(Solid, HalfSpace)> = Vec::new();
     for (axis, up) in (0..3)
         .flat_map(|axis| [(axis, false), (axis, true)])
         .filter(|_| !is_open)
     {
-        let mut slab = of;
+        let mut slab = cell;
         let (near, far) = if up {
-            (of.max[axis], of.max[axis].next_up())
+            (cell.max[axis], cell.max[axis].next_up())
         } else {
-            (of.min[axis], of.min[axis].next_down())
+            (cell.min[axis], cell.min[axis].next_down())
         };
         (slab.min[axis], slab.max[axis]) = (near.min(far), near.max(far));
         let half = HalfSpace::across(axis, up, f64::from(near));
@@ -67,10 +70,10 @@ pub fn sights(
         );
     }
     let ends = behind.iter().map(|(solid, _)| solid);
-    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else {
+    let Some(body) = LineSource::around(&mut solids.iter().chain(ends), cell) else {
         return Some(Vec::new());
     };
-    let mut search = Search {
+    let mut search = SightSearch {
         partition,
         body,
         lit: FxHashMap::default(),
@@ -82,14 +85,15 @@ pub fn sights(
         partition
             .parts(solid.leaf)
             .iter()
-            .for_each(|part| is_seen[part.triangle as usize] = true);
-        search.go_on(solid.leaf, None, &[], &Gates::NONE);
+            .for_each(|part| is_seen[part.triangle.at()] = true);
+        search.light_portals(solid.leaf, None, &[], &Gates::NONE);
     }
     for (solid, half) in &behind {
-        let is_lit = |part: &&Part| part.outline.within(&[*half], partition.errors()).is_some();
+        let is_lit =
+            |part: &&TrianglePart| part.outline.within(&[*half], partition.errors()).is_some();
         let parts = partition.parts(solid.leaf).iter().filter(is_lit);
-        parts.for_each(|part| is_seen[part.triangle as usize] = true);
-        search.go_on(solid.leaf, None, &[*half], &Gates::NONE);
+        parts.for_each(|part| is_seen[part.triangle.at()] = true);
+        search.light_portals(solid.leaf, None, &[*half], &Gates::NONE);
     }
     if !search.run(stop) {
         return None;
@@ -102,15 +106,15 @@ pub fn sights(
     )
 }
 
-/// A portal with the leaf into which it is crossed.
+/// A portal with the leaf into which lines cross it.
 type Crossing = (PortalId, LeafId);
 
-/// What all lines through a portal have crossed before.
+/// A part of space that all lines through an outline of a portal have crossed before.
 #[derive(Clone, Debug)]
 enum Gate {
     /// A part of a plane.
     Polygon(Outline),
-    /// Parts of several planes, in a box.
+    /// A box around parts of several planes.
     Box([DVec3; 2]),
 }
 
@@ -122,15 +126,15 @@ impl Gate {
         }
     }
 
-    fn body(&self) -> Body {
+    fn body(&self) -> LineSource {
         match self {
-            Self::Polygon(outline) => Body::of_polygon(&outline.hull),
-            Self::Box(bounds) => Body::of_box(*bounds),
+            Self::Polygon(outline) => LineSource::of_polygon(&outline.hull),
+            Self::Box(bounds) => LineSource::of_box(*bounds),
         }
     }
 
-    /// Whether another gate is the same.
-    fn is(&self, other: &Self) -> bool {
+    /// Returns true if another gate has the same corners or bounds as this gate.
+    fn equals(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Polygon(a), Self::Polygon(b)) => a.hull.corners == b.hull.corners,
             (Self::Box(a), Self::Box(b)) => a == b,
@@ -138,8 +142,8 @@ impl Gate {
         }
     }
 
-    /// Whether another gate is in this one.
-    fn holds(&self, other: &Self, errors: Errors) -> bool {
+    /// Returns true if another gate is certainly inside this gate.
+    fn holds(&self, other: &Self, errors: ErrorBounds) -> bool {
         match (self, other) {
             (Self::Polygon(a), Self::Polygon(b)) => a.is_beside(b) && a.holds(b, errors),
             (Self::Polygon(_), Self::Box(_)) => false,
@@ -150,8 +154,8 @@ impl Gate {
         }
     }
 
-    /// What holds both.
-    fn with(&self, other: &Self, errors: Errors) -> Self {
+    /// Computes a gate that contains this gate and another gate.
+    fn with(&self, other: &Self, errors: ErrorBounds) -> Self {
         match (self, other) {
             (Self::Polygon(a), Self::Polygon(b)) if a.is_beside(b) => {
                 Self::Polygon(a.joined(b, errors))
@@ -164,12 +168,13 @@ impl Gate {
     }
 }
 
-/// The gates of some lines; `None` where they come from the cell itself.
+/// The gates of some lines. A gate is `None` if the lines come from the cell itself, or if no
+/// portal is known that all lines have crossed.
 #[derive(Clone, Debug)]
 struct Gates {
-    /// The portal before.
+    /// The portal that the lines crossed last.
     last: Option<Gate>,
-    /// The narrowest portal on the way.
+    /// The narrowest portal that the lines have crossed.
     narrowest: Option<Gate>,
 }
 
@@ -180,7 +185,8 @@ impl Gates {
         narrowest: None,
     };
 
-    /// The gates beyond a portal with these gates.
+    /// Computes the gates of lines beyond an outline of a portal, if the lines have these gates before the
+    /// portal.
     fn beyond(&self, portal: &Outline) -> Self {
         let wide = |[lo, hi]: [DVec3; 2]| (hi - lo).length_squared();
         let own = Gate::Polygon(portal.clone());
@@ -194,7 +200,7 @@ impl Gates {
         }
     }
 
-    /// Each gate with another one.
+    /// Pairs each gate with the corresponding gate of `other`.
     fn both<'a>(&'a self, other: &'a Self) -> [(&'a Option<Gate>, &'a Option<Gate>); 2] {
         [
             (&self.last, &other.last),
@@ -202,8 +208,8 @@ impl Gates {
         ]
     }
 
-    /// Whether others are in these.
-    fn hold(&self, other: &Self, errors: Errors) -> bool {
+    /// Returns true if the gates of `other` are inside these gates.
+    fn hold(&self, other: &Self, errors: ErrorBounds) -> bool {
         self.both(other).iter().all(|pair| match pair {
             (Some(a), Some(b)) => a.holds(b, errors),
             (Some(_), None) => false,
@@ -211,15 +217,17 @@ impl Gates {
         })
     }
 
-    /// The gates of lines that have crossed either.
-    fn or(&self, other: &Self, errors: Errors) -> Self {
+    /// Computes gates that contain these gates and the gates of `other`.
+    fn or(&self, other: &Self, errors: ErrorBounds) -> Self {
         let [last, narrowest] = self
             .both(other)
             .map(|(a, b)| a.as_ref().zip(b.as_ref()).map(|(a, b)| a.with(b, errors)));
         Self { last, narrowest }
     }
 
-    /// Whether polygons hold these and others without becoming boxes, or these are boxes or nothing already.
+    /// Returns true if these gates can grow to contain the gates of `other` and no polygon becomes a box.
+    ///
+    /// A gate that is already a box or `None` fulfils this condition.
     fn are_beside(&self, other: &Self) -> bool {
         self.both(other).iter().all(|pair| match pair {
             (Some(Gate::Polygon(a)), Some(Gate::Polygon(b))) => a.is_beside(b),
@@ -228,9 +236,11 @@ impl Gates {
         })
     }
 
-    /// The same with slack to find that others are inside. The narrowest gate is handed on from portal to
-    /// portal as it is, so that it is the same whatever its way.
-    fn widened(self, errors: Errors) -> Self {
+    /// Returns these gates with additional slack, so that later comparisons find that other gates are inside.
+    ///
+    /// The function does not widen the narrowest gate. Later portals receive it unchanged, so that it does
+    /// not depend on the way.
+    fn widened(self, errors: ErrorBounds) -> Self {
         let last = match self.last {
             Some(Gate::Polygon(outline)) => Some(Gate::Polygon(outline.widened(errors))),
             other => other,
@@ -239,28 +249,31 @@ impl Gates {
     }
 }
 
-/// A lit part of a portal.
-struct Lit {
+/// An outline of a portal, with the gates of the lines that cross the outline.
+struct LitPart {
     outline: Outline,
     gates: Gates,
-    /// How often the outline and the gates have grown.
+    /// The number of times that the outline has grown, and the number of times that the gates have grown.
     growths: [u32; 2],
+    /// True if the search must still follow the lines beyond the outline.
     is_waiting: bool,
 }
 
-struct Search<'a> {
+struct SightSearch<'a> {
     partition: &'a Partition,
-    body: Body,
-    /// The lit parts of each portal.
-    lit: FxHashMap<Crossing, Vec<Lit>>,
-    /// The crossings in the order in which they were first lit.
+    body: LineSource,
+    /// The outlines of each crossing.
+    lit: FxHashMap<Crossing, Vec<LitPart>>,
+    /// The crossings in the order in which lines first reached them.
     order: Vec<Crossing>,
-    /// Those whose light has not gone on, with the number of the part.
+    /// The crossings beyond which the search must still follow the lines, each with the index of its outline
+    /// in `lit`.
     waiting: VecDeque<(Crossing, usize)>,
 }
 
-impl Search<'_> {
-    /// Lights all portals; false when stopped.
+impl SightSearch<'_> {
+    /// Follows the lines through all portals that the lines reach. Returns false if `stop` returned true and
+    /// ended the search.
     fn run(&mut self, stop: &dyn Fn() -> bool) -> bool {
         while let Some((crossing, way)) = self.waiting.pop_front() {
             if stop() {
@@ -276,12 +289,12 @@ impl Search<'_> {
             lit.is_waiting = false;
             let (plane, gates) = (lit.outline.plane, lit.gates.beyond(&lit.outline));
             let beam = self.beam(crossing, way);
-            self.go_on(crossing.1, plane, &beam, &gates);
+            self.light_portals(crossing.1, plane, &beam, &gates);
         }
         true
     }
 
-    /// The half-spaces beyond a lit part of a portal.
+    /// Computes the half-spaces that bound the lines beyond the outline `way` of a portal.
     fn beam(&self, crossing: Crossing, way: usize) -> Vec<HalfSpace> {
         let mut beam = Vec::new();
         beam.extend(self.partition.beyond(crossing.0, crossing.1));
@@ -291,16 +304,24 @@ impl Search<'_> {
         let (hull, errors) = (&lit.outline.hull, self.partition.errors());
         separators(&self.body, hull, errors, &mut beam);
         let Gates { last, narrowest } = &lit.gates;
-        let is_other = |gate: &&Gate| last.as_ref().is_none_or(|last| !last.is(gate));
+        let is_other = |gate: &&Gate| last.as_ref().is_none_or(|last| !last.equals(gate));
         for gate in last.iter().chain(narrowest.iter().filter(is_other)) {
             separators(&gate.body(), hull, errors, &mut beam);
         }
         beam
     }
 
-    /// Lights the portals of a leaf that lines can cross within some half-spaces. They have entered it
-    /// through a portal in a plane, which they do not cross again.
-    fn go_on(&mut self, leaf: LeafId, entered: Option<PlaneId>, beam: &[HalfSpace], gates: &Gates) {
+    /// Adds outlines to the portals of a leaf that lines within the half-spaces of `beam` can cross.
+    ///
+    /// The lines entered the leaf through a portal in the plane `entered`, and do not cross this plane again.
+    /// `entered` is `None` if the lines start in the leaf.
+    fn light_portals(
+        &mut self,
+        leaf: LeafId,
+        entered: Option<PlaneId>,
+        beam: &[HalfSpace],
+        gates: &Gates,
+    ) {
         let partition = self.partition;
         for portal in &partition.tree().leaf(leaf).portals {
             let Some(whole) = partition.opening(*portal) else {
@@ -318,11 +339,14 @@ impl Search<'_> {
         }
     }
 
+    /// Adds the part of a portal that lines with some gates can cross: as a new outline, or by growth of an
+    /// outline of the portal. `whole` is the outline of the whole portal.
     fn light(&mut self, crossing: Crossing, part: Outline, gates: &Gates, whole: &Outline) {
         let errors = self.partition.errors();
         let ways = self.lit.entry(crossing).or_default();
-        let holds_part = |lit: &Lit| lit.growths[0] >= GROWTHS || lit.outline.holds(&part, errors);
-        let holds = |lit: &Lit| holds_part(lit) && lit.gates.hold(gates, errors);
+        let holds_part =
+            |lit: &LitPart| lit.growths[0] >= GROWTHS || lit.outline.holds(&part, errors);
+        let holds = |lit: &LitPart| holds_part(lit) && lit.gates.hold(gates, errors);
         if ways.iter().any(holds) {
             return;
         }
@@ -332,7 +356,7 @@ impl Search<'_> {
                 self.order.push(crossing);
             }
             self.waiting.push_back((crossing, ways.len()));
-            ways.push(Lit {
+            ways.push(LitPart {
                 outline: part.widened(errors),
                 gates: gates.clone().widened(errors),
                 growths: [0; 2],
@@ -340,10 +364,11 @@ impl Search<'_> {
             });
             return;
         }
-        // The last one takes all that came by other ways.
+        // The last outline receives all lines that come by further ways.
         let way = same.unwrap_or(ways.len() - 1);
         let lit = &mut ways[way];
-        // It does not hold both, so one of them grows. The whole portal cannot.
+        // The existing part does not contain both the new outline and the new gates, so its outline or its
+        // gates grow. An outline that is the whole portal cannot grow.
         if !holds_part(lit) {
             lit.growths[0] += 1;
             lit.outline = if lit.growths[0] < GROWTHS {
@@ -365,18 +390,18 @@ impl Search<'_> {
         }
     }
 
-    /// Marks the triangles with parts that are in the light.
+    /// Marks the triangles that lines beyond the portals can reach.
     fn show(&self, is_seen: &mut [bool]) {
         for crossing in &self.order {
             let parts = self.partition.parts(crossing.1);
             let ways = self.lit.get(crossing).map_or(&[][..], |ways| ways);
             for (way, lit) in ways.iter().enumerate() {
-                if parts.iter().all(|part| is_seen[part.triangle as usize]) {
+                if parts.iter().all(|part| is_seen[part.triangle.at()]) {
                     break;
                 }
                 let beam = self.beam(*crossing, way);
-                // Nothing in the portal's plane is seen through it.
-                let is_lit = |part: &Part| {
+                // Lines through the portal do not meet triangles in the portal's plane.
+                let is_lit = |part: &TrianglePart| {
                     !part.outline.is_beside(&lit.outline)
                         && part
                             .outline
@@ -384,7 +409,7 @@ impl Search<'_> {
                             .is_some()
                 };
                 for part in parts {
-                    let is_seen = &mut is_seen[part.triangle as usize];
+                    let is_seen = &mut is_seen[part.triangle.at()];
                     *is_seen = *is_seen || is_lit(part);
                 }
             }

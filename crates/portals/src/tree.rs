@@ -1,11 +1,12 @@
 //! The binary space partition of a scene along planes of its triangles: convex leaves, and the openings
-//! (portals) through which one gets from leaf to leaf (Teller 1992, sections 5.2 and 8.2).
+//! (portals) that connect them (Teller 1992, sections 5.2 and 8.2).
 //!
-//! Everything is exact. A leaf is an intersection of half-spaces; a portal is a convex part of the border of
-//! two leaves that no triangle in its plane covers. Triangles that no plane of the tree contains stay in the
-//! leaves as detail: they block nothing here, so what is not reached is proved not to be reached, whichever
-//! planes were chosen.
+//! All computations are exact. A leaf is an intersection of half-spaces. A portal is a convex part of the
+//! border of two leaves that no triangle in its plane covers. Triangles that no plane of the tree contains
+//! stay in the leaves as detail and do not block. So a leaf that the search does not reach is proved to be
+//! unreachable, regardless of the chosen planes.
 
+use sightline_scene::{ObjectId, TriangleId};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
@@ -14,40 +15,40 @@ use sightline_exact::Polygon;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
-use crate::covered::divide_covered;
+use crate::face_cover::divide_covered;
 use crate::plane::{Face, Plane, PlaneId};
 use crate::planes::{Planes, by_place, is_door};
 
-/// The work of a split for each wall of the leaf.
+/// The work of a split per wall of the leaf, in units of [`Tree::work`].
 const WALL_WORK: u64 = 32;
 
-/// The number of a leaf in its [`Tree`].
+/// The index of a leaf in its [`Tree`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LeafId(pub u32);
 
-/// The leaf that stands for everything outside the box of the tree.
+/// The leaf that represents all space outside the box of the tree.
 pub const OUTSIDE: LeafId = LeafId(0);
 
-/// The number of a portal in its [`Tree`].
+/// The index of a portal in its [`Tree`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortalId(pub u32);
 
-/// A node: an inner one, or the place of a leaf.
+/// A node of the tree: an inner node or a leaf.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Node {
-    /// A plane, and the nodes on its lesser and on its greater side.
+pub enum BspNode {
+    /// A plane, and the indices of the nodes on the plane's lower and upper side.
     Split(PlaneId, [u32; 2]),
     /// A leaf.
     Leaf(LeafId),
 }
 
-/// What is left of a triangle in a leaf.
+/// The part of a triangle that lies in a leaf.
 #[derive(Clone, Debug)]
 pub struct Fragment {
     /// The plane of the triangle.
     pub plane: PlaneId,
-    /// The object whose door it is part of, if it is.
-    pub door: Option<u32>,
+    /// The object whose door contains the triangle, or `None` if it is not part of a door.
+    pub door: Option<ObjectId>,
     /// The part of the triangle in the leaf.
     pub face: Face,
 }
@@ -55,32 +56,34 @@ pub struct Fragment {
 /// A convex cell of the partition.
 #[derive(Debug, Default)]
 pub struct Leaf {
+    /// The index of the leaf's node in the tree.
     node: u32,
-    /// The planes on the way from the root, with the side of each on which the leaf is.
+    /// The planes of the tree's nodes from the root to the leaf, each with the side that contains the leaf.
     pub walls: Vec<(PlaneId, Ordering)>,
-    /// Triangles inside, which no plane of the tree contains.
+    /// The parts of triangles inside the leaf that no plane of the tree contains.
     pub detail: Vec<Fragment>,
-    /// The portals of the leaf.
+    /// The portals between the leaf and its neighbours.
     pub portals: Vec<PortalId>,
-    /// The planes of detail that belongs to walls along which the leaf was split, ascending.
+    /// The planes of the leaf's detail that belong to walls along which the leaf was split, in ascending
+    /// order.
     pub begun: Vec<PlaneId>,
 }
 
 /// An opening between two leaves.
 #[derive(Debug)]
 pub struct Portal {
-    /// The opening. It may be larger than the true one, never smaller.
+    /// The face of the opening, which contains the true opening and may be larger.
     pub face: Face,
-    /// Its plane; `None` for the box of the tree.
+    /// The plane of the portal; `None` for a portal in a face of the tree's box.
     pub plane: Option<PlaneId>,
-    /// The object that covers it where its door is shut.
-    pub door: Option<u32>,
-    /// The leaves on the lesser and on the greater side of its plane.
+    /// The object whose door covers the portal when the door is shut; `None` if no door covers the portal.
+    pub door: Option<ObjectId>,
+    /// The leaves on the lower and on the upper side of the portal's face.
     pub leaves: [LeafId; 2],
 }
 
 impl Portal {
-    /// The leaf on the other side.
+    /// Returns the leaf on the other side of the portal, as seen from `leaf`.
     pub fn beyond(&self, leaf: LeafId) -> LeafId {
         if self.leaves[0] == leaf {
             self.leaves[1]
@@ -90,35 +93,37 @@ impl Portal {
     }
 }
 
-/// A partition of a box.
+/// A partition of a box, which contains the scene, into convex leaves with portals.
 pub struct Tree {
     planes: Planes,
     bounds: Aabb,
-    nodes: Vec<Node>,
+    nodes: Vec<BspNode>,
     leaves: Vec<Leaf>,
     portals: Vec<Portal>,
-    /// The work so far, counted in fragments and portals that were put on a side of a plane.
+    /// The value of [`Tree::work`].
     work: u64,
 }
 
 impl Tree {
-    /// One leaf that holds all blocking triangles, in a box that has a margin around the scene's bounds and
-    /// the given points.
+    /// Creates a tree of one leaf with all blocking triangles as detail.
+    ///
+    /// The box of the tree contains the scene's bounds and `points`, with a margin.
     pub fn new(scene: &Scene, points: &[[f32; 3]]) -> Self {
-        Self::of(scene, points, false)
+        Self::build(scene, points, false)
     }
 
-    /// The same with the scene's doors, which divide openings and cover none.
+    /// Creates a tree like [`Tree::new`] that also contains the scene's doors. A door's triangles divide an
+    /// opening into portals, but do not cover the opening.
     pub fn with_doors(scene: &Scene, points: &[[f32; 3]]) -> Self {
-        Self::of(scene, points, true)
+        Self::build(scene, points, true)
     }
 
-    fn of(scene: &Scene, points: &[[f32; 3]], has_doors: bool) -> Self {
+    fn build(scene: &Scene, points: &[[f32; 3]], has_doors: bool) -> Self {
         let planes = Planes::new(scene);
         let around = points.iter().fold(scene.bounds(), |b, p| {
             b.union(Aabb::around([Vec3::from(*p)]))
         });
-        // Any margin keeps the outside in one piece. The coordinates stay finite.
+        // Any margin keeps the outside connected. The coordinates stay finite.
         let margin = ((around.max - around.min) * 0.125)
             .max_element()
             .clamp(f32::MIN_POSITIVE, f32::MAX);
@@ -134,10 +139,10 @@ impl Tree {
             .filter_map(|id| {
                 let corners = scene.triangles()[id as usize].v.map(|v| v.as_dvec3());
                 let face = Face::new(Polygon::triangle(corners)?);
-                let object = || scene.objects().partition_point(|o| o.first <= id) as u32 - 1;
-                let door = is_door(scene, id).then(object);
+                let after = scene.objects().partition_point(|o| o.first <= id) as u32;
+                let door = is_door(scene, id).then(|| ObjectId(after - 1));
                 Some(Fragment {
-                    plane: planes.of(id)?,
+                    plane: planes.find_plane(TriangleId(id))?,
                     door,
                     face,
                 })
@@ -147,7 +152,7 @@ impl Tree {
         let portals: Vec<Portal> = Polygon::faces_of(bounds)
             .into_iter()
             .enumerate()
-            // The faces come in pairs, the lesser first.
+            // The faces come in pairs, the lower face first.
             .map(|(k, face)| Portal {
                 face: Face::new(face),
                 plane: None,
@@ -174,59 +179,62 @@ impl Tree {
         Self {
             planes,
             bounds,
-            nodes: vec![Node::Leaf(inside)],
+            nodes: vec![BspNode::Leaf(inside)],
             leaves,
             portals,
             work: 0,
         }
     }
 
-    /// The planes.
+    /// Returns the planes of the scene.
     pub fn planes(&self) -> &Planes {
         &self.planes
     }
 
-    /// The box that is divided.
+    /// Returns the box of the tree.
     pub fn bounds(&self) -> Aabb {
         self.bounds
     }
 
-    /// The nodes; the root is the first.
-    pub fn nodes(&self) -> &[Node] {
+    /// Returns the nodes; the root is the first node.
+    pub fn nodes(&self) -> &[BspNode] {
         &self.nodes
     }
 
-    /// A leaf.
+    /// Returns a leaf.
     pub fn leaf(&self, id: LeafId) -> &Leaf {
         &self.leaves[id.0 as usize]
     }
 
-    /// Number of leaves, with [`OUTSIDE`].
+    /// Returns the number of leaves, including [`OUTSIDE`].
     pub fn len(&self) -> usize {
         self.leaves.len()
     }
 
-    /// Whether there is no leaf but [`OUTSIDE`]; never.
+    /// Returns true if the tree has no leaf except [`OUTSIDE`]. The result is always false, because a tree
+    /// has at least one other leaf.
     pub fn is_empty(&self) -> bool {
         self.leaves.len() < 2
     }
 
-    /// A portal.
+    /// Returns a portal.
     pub fn portal(&self, id: PortalId) -> &Portal {
         &self.portals[id.0 as usize]
     }
 
-    /// Number of portals.
+    /// Returns the number of portals.
     pub fn portals(&self) -> usize {
         self.portals.len()
     }
 
-    /// The work so far: how often a fragment or portal was put on a side of a plane.
+    /// Returns the work so far. One unit is the classification of a fragment or portal by a plane; other
+    /// operations count as multiples.
     pub fn work(&self) -> u64 {
         self.work
     }
 
-    /// The leaves that hold a point: of a point on planes, those on all sides of it.
+    /// Returns the leaves that contain a point, or [`OUTSIDE`] for a point outside the tree's box. A point on
+    /// a plane is in the leaves on both sides of the plane.
     pub fn leaves_of(&self, point: Vec3) -> Vec<LeafId> {
         if !self.bounds.contains(point) {
             return vec![OUTSIDE];
@@ -234,8 +242,8 @@ impl Tree {
         let (mut found, mut open) = (Vec::new(), vec![0u32]);
         while let Some(node) = open.pop() {
             match self.nodes[node as usize] {
-                Node::Leaf(leaf) => found.push(leaf),
-                Node::Split(plane, [less, greater]) => {
+                BspNode::Leaf(leaf) => found.push(leaf),
+                BspNode::Split(plane, [less, greater]) => {
                     match self.planes.plane(plane).side_of(point) {
                         Ordering::Less => open.push(less),
                         Ordering::Greater => open.push(greater),
@@ -247,7 +255,7 @@ impl Tree {
         found
     }
 
-    /// The section of a plane with a leaf; `None` if they share no area.
+    /// Computes the section of a plane with a leaf, or returns `None` if the section has no area.
     pub fn section(&self, leaf: LeafId, plane: PlaneId) -> Option<Face> {
         let mut face = Face::new(Polygon::section(
             self.planes.plane(plane).coefficients(),
@@ -261,22 +269,25 @@ impl Tree {
         Some(face)
     }
 
-    /// Splits a leaf along a plane, which must contain a fragment of its detail. The leaf becomes the part on
-    /// the plane's lesser side; returns the part on the greater one.
+    /// Splits a leaf along a plane, which must contain a fragment of the leaf's detail.
+    ///
+    /// The leaf becomes the part on the plane's lower side. The function returns the part on the upper
+    /// side.
     ///
     /// # Panics
-    /// When the plane does not divide the leaf.
+    /// If the plane does not divide the leaf.
     pub fn split(&mut self, id: LeafId, plane: PlaneId) -> LeafId {
-        // A fragment in the plane is in the closed leaf and in no wall of it, so the section has an area.
+        // A fragment in the plane is in the closed leaf and in none of its walls, so the section has an area.
         let section = self
             .section(id, plane)
             .expect("the plane of a fragment divides its leaf");
         let upper = LeafId(self.leaves.len() as u32);
-        // Sections are cut along all walls, for each plane that was compared; a leaf keeps its walls.
+        // For each compared plane, a section was cut along all walls of the leaf. A leaf keeps its walls
+        // after a split.
         self.work += WALL_WORK * self.leaf(id).walls.len() as u64;
         let leaf = std::mem::take(&mut self.leaves[id.0 as usize]);
         let (mut inside, mut details) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut doors: BTreeMap<u32, Vec<Face>> = BTreeMap::new();
+        let mut doors: BTreeMap<ObjectId, Vec<Face>> = BTreeMap::new();
         let exact = &self.planes.plane(plane).clone();
         for fragment in leaf.detail {
             self.work += 1;
@@ -295,9 +306,10 @@ impl Tree {
         let mut portals = [Vec::new(), Vec::new()];
         for portal in leaf.portals {
             self.work += 1;
-            self.divide_portal(portal, (id, upper), exact, &mut portals);
+            self.divide_portal(portal, id, upper, exact, &mut portals);
         }
-        // What a wall covers is no opening; of the rest each door covers its own.
+        // The part of the section that walls cover is not an opening. Each door covers its own part of the
+        // remaining section.
         let [mut open, _] = divide_covered(vec![section], inside, exact, &mut self.work);
         let mut openings = Vec::new();
         for (door, covers) in doors {
@@ -316,8 +328,8 @@ impl Tree {
             portals.iter_mut().for_each(|p| p.push(number));
         }
         let places = [0, 1].map(|k| self.nodes.len() as u32 + k);
-        self.nodes[leaf.node as usize] = Node::Split(plane, places);
-        self.nodes.extend([Node::Leaf(id), Node::Leaf(upper)]);
+        self.nodes[leaf.node as usize] = BspNode::Split(plane, places);
+        self.nodes.extend([BspNode::Leaf(id), BspNode::Leaf(upper)]);
         let sides = [Ordering::Less, Ordering::Greater];
         let [lower_leaf, upper_leaf] = std::array::from_fn(|k| Leaf {
             node: places[k],
@@ -336,11 +348,13 @@ impl Tree {
         upper
     }
 
-    /// Marks the planes of a leaf's detail that belong to a wall along which it was split, of `planes`, which
-    /// ascend. Those without detail in the leaf are left out.
+    /// Records the planes of a leaf's detail that belong to a wall along which the leaf was split.
+    ///
+    /// `planes` contains the planes of the wall in ascending order. The function ignores planes without
+    /// detail in the leaf.
     pub fn set_begun(&mut self, id: LeafId, planes: &[PlaneId]) {
         let leaf = &mut self.leaves[id.0 as usize];
-        // Each fragment was compared with the wall.
+        // Each fragment of the leaf was compared with the wall.
         self.work += leaf.detail.len() as u64;
         let is_of_wall = |plane: &PlaneId| planes.binary_search(plane).is_ok();
         leaf.begun = leaf
@@ -353,11 +367,12 @@ impl Tree {
         leaf.begun.dedup();
     }
 
-    /// Puts a portal of a leaf that is being split on the sides of the plane.
+    /// Assigns a portal of a leaf that is being split to the sides of the plane.
     fn divide_portal(
         &mut self,
         id: PortalId,
-        (lower, upper): (LeafId, LeafId),
+        lower: LeafId,
+        upper: LeafId,
         plane: &Plane,
         out: &mut [Vec<PortalId>; 2],
     ) {
@@ -390,8 +405,8 @@ impl Tree {
                 move_up(portal);
                 out[1].push(id);
             }
-            // A portal is on the border of the leaf, whose inside the plane divides, so it is not in the
-            // plane.
+            // A portal is on the border of the leaf, and the plane divides the leaf's interior, so the portal
+            // is not in the plane.
             _ => out[0].push(id),
         }
     }

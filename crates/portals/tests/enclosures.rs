@@ -1,4 +1,4 @@
-//! What walls enclose: known buildings, and random ones against free segments.
+//! Tests of enclosures: known buildings, and random buildings against free segments.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,10 +8,12 @@ use glam::{Quat, Vec3};
 use proptest::prelude::*;
 use sightline_geometry::predicates::orient3d_sign;
 use sightline_numbers::Aabb;
-use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
+use sightline_portals::{
+    Enclosure, EnclosureLimits, RegionPlanes, Tree, enclose, reached, region_of,
+};
 use sightline_scene::{Object, Scene, Triangle};
 
-/// Two triangles a quad; corners in order.
+/// Creates the two triangles of a quad from its corners in order.
 fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     let v = v.map(Vec3::from);
     [
@@ -24,7 +26,7 @@ fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     ]
 }
 
-/// The faces of a box.
+/// Creates the faces of a box.
 fn walls(min: [f32; 3], max: [f32; 3]) -> Vec<Triangle> {
     let at = |k: usize| [0, 1, 2].map(|a| if k >> a & 1 == 1 { max[a] } else { min[a] });
     [
@@ -40,7 +42,9 @@ fn walls(min: [f32; 3], max: [f32; 3]) -> Vec<Triangle> {
     .collect()
 }
 
-/// Two rooms beside each other along x, with a wall at x = 2 that has a door at y from 0 to 1, z from 1 to 2.
+/// Creates two rooms next to each other along x.
+///
+/// The wall between them, at x = 2, has a door at y from 0 to 1 and z from 1 to 2.
 fn rooms() -> Vec<Triangle> {
     let mut all = walls([0.0; 3], [4.0, 2.0, 3.0]);
     let wall = |y: [f32; 2], z: [f32; 2]| {
@@ -75,21 +79,27 @@ fn scene(triangles: Vec<Triangle>) -> Scene {
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
-/// How the walls around a point are, the region of what it reaches, and the number of leaves.
-fn around(scene: &Scene, seed: [f32; 3]) -> (Enclosure, Reached, usize) {
+/// Returns the enclosure of a point, the region that the point reaches, and the number of leaves.
+fn around(scene: &Scene, seed: [f32; 3]) -> (Enclosure, RegionPlanes, usize) {
     let mut tree = Tree::new(scene, &[seed]);
-    let found = enclose(&mut tree, &[seed], Limits::default(), &mut |_| true);
+    let found = enclose(&mut tree, &[seed], EnclosureLimits::default(), &mut |_| {
+        true
+    });
     let leaves = reached(&tree, &[seed]);
     let region = region_of(&tree, &leaves).unwrap();
-    (found, Reached::new(&region, scene).unwrap(), tree.len())
+    (
+        found,
+        RegionPlanes::new(&region, scene).unwrap(),
+        tree.len(),
+    )
 }
 
-fn holds(region: &Reached, p: [f32; 3]) -> bool {
+fn holds(region: &RegionPlanes, p: [f32; 3]) -> bool {
     region.holds(p.into())
 }
 
 #[test]
-fn a_closed_room_is_all_that_is_reached() {
+fn point_reaches_only_its_closed_room() {
     let mut triangles = rooms();
     triangles.extend(door());
     let (found, region, _) = around(&scene(triangles), [1.0, 1.0, 1.5]);
@@ -98,7 +108,7 @@ fn a_closed_room_is_all_that_is_reached() {
         holds(&region, [0.5, 0.5, 0.5]) && holds(&region, [2.0, 1.0, 1.0]),
         "walls belong to it"
     );
-    // A wall in another room, and the door from both sides of a cell that ends there.
+    // The test checks a wall of the other room, and the door from both sides of a cell that ends there.
     let whole = Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0));
     assert!(!region.touches(
         [[4.0, 0.0, 0.0], [4.0, 2.0, 0.0], [4.0, 2.0, 3.0]].map(Vec3::from),
@@ -134,7 +144,7 @@ fn a_closed_room_is_all_that_is_reached() {
 }
 
 #[test]
-fn an_open_door_leads_to_the_other_room_and_furniture_stays_detail() {
+fn open_door_connects_rooms_and_furniture_stays_detail() {
     let mut triangles = rooms();
     let (_, _, few) = around(&scene(triangles.clone()), [1.0, 1.0, 1.5]);
     for k in 0..40 {
@@ -152,15 +162,17 @@ fn an_open_door_leads_to_the_other_room_and_furniture_stays_detail() {
 }
 
 #[test]
-fn a_missing_triangle_is_a_leak_with_its_place() {
+fn missing_triangle_is_leak_with_position() {
     let mut triangles = rooms();
-    // Half of the face at z = 3.
+    // The removed triangle is half of the face at z = 3.
     triangles.remove(2);
     let scene = scene(triangles);
     let seed = [1.0, 1.0, 1.5];
     let mut tree = Tree::new(&scene, &[seed]);
     let Enclosure::Leak(leaves, portals) =
-        enclose(&mut tree, &[seed], Limits::default(), &mut |_| true)
+        enclose(&mut tree, &[seed], EnclosureLimits::default(), &mut |_| {
+            true
+        })
     else {
         panic!("there is a way out")
     };
@@ -173,7 +185,7 @@ fn a_missing_triangle_is_a_leak_with_its_place() {
 }
 
 #[test]
-fn a_point_on_a_wall_reaches_both_sides() {
+fn point_on_wall_reaches_both_sides() {
     let mut triangles = rooms();
     triangles.extend(door());
     let (found, region, _) = around(&scene(triangles), [2.0, 0.5, 1.5]);
@@ -182,16 +194,16 @@ fn a_point_on_a_wall_reaches_both_sides() {
 }
 
 #[test]
-fn limits_and_stops_end_the_search() {
+fn limits_and_stops_end_search() {
     let scene = scene(rooms());
     let seed = [1.0, 1.0, 1.5];
-    let search = |limits: Limits, go_on: bool| {
+    let search = |limits: EnclosureLimits, go_on: bool| {
         let mut tree = Tree::new(&scene, &[seed]);
         let found = enclose(&mut tree, &[seed], limits, &mut |_| go_on);
-        // What is reached holds all that may be reached, wherever the search ends.
+        // The region contains all space that may be reached, no matter when the search ends.
         let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
         assert!(
-            Reached::new(&region, &scene)
+            RegionPlanes::new(&region, &scene)
                 .unwrap()
                 .holds(Vec3::new(3.0, 1.0, 1.5))
         );
@@ -199,9 +211,9 @@ fn limits_and_stops_end_the_search() {
     };
     assert_eq!(
         search(
-            Limits {
+            EnclosureLimits {
                 leaves: 4,
-                ..Limits::default()
+                ..EnclosureLimits::default()
             },
             true
         ),
@@ -209,35 +221,41 @@ fn limits_and_stops_end_the_search() {
     );
     assert_eq!(
         search(
-            Limits {
+            EnclosureLimits {
                 work: 30,
-                ..Limits::default()
+                ..EnclosureLimits::default()
             },
             true
         ),
         Enclosure::Unknown
     );
-    assert_eq!(search(Limits::default(), false), Enclosure::Stopped);
-}
-
-#[test]
-fn a_region_of_another_scene_is_refused() {
-    let whole = scene(rooms());
-    let seed = [1.0, 1.0, 1.5];
-    let mut tree = Tree::new(&whole, &[seed]);
-    enclose(&mut tree, &[seed], Limits::default(), &mut |_| true);
-    let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
-    let other = scene(rooms()[..2].to_vec());
-    assert!(
-        Reached::new(&region, &other)
-            .unwrap_err()
-            .to_string()
-            .contains("another scene")
+    assert_eq!(
+        search(EnclosureLimits::default(), false),
+        Enclosure::Stopped
     );
 }
 
-/// Whether a segment has no point in common with a triangle, as far as exact signs of its ends tell: false
-/// where it touches.
+#[test]
+fn region_planes_reject_other_scene() {
+    let whole = scene(rooms());
+    let seed = [1.0, 1.0, 1.5];
+    let mut tree = Tree::new(&whole, &[seed]);
+    enclose(&mut tree, &[seed], EnclosureLimits::default(), &mut |_| {
+        true
+    });
+    let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
+    let other = scene(rooms()[..2].to_vec());
+    assert!(
+        RegionPlanes::new(&region, &other)
+            .unwrap_err()
+            .to_string()
+            .contains("no plane in this scene")
+    );
+}
+
+/// Returns true if exact signs prove that a segment has no point in common with a triangle.
+///
+/// The result is false for a segment that touches the triangle.
 fn misses(t: &Triangle, p: Vec3, q: Vec3) -> bool {
     let [a, b, c] = t.v;
     let (from, to) = (orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q));
@@ -252,7 +270,7 @@ fn misses(t: &Triangle, p: Vec3, q: Vec3) -> bool {
     edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater)
 }
 
-/// Whether a segment passes through the inside of a triangle.
+/// Returns true if a segment passes through the interior of a triangle.
 fn passes(t: &Triangle, p: Vec3, q: Vec3) -> bool {
     let [a, b, c] = t.v;
     let (from, to) = (orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q));
@@ -267,7 +285,7 @@ fn passes(t: &Triangle, p: Vec3, q: Vec3) -> bool {
         && edges == [edges[0]; 3]
 }
 
-/// Triangles of a building: rooms, doors and loose triangles on a grid, turned about an axis.
+/// Creates the triangles of a building: rooms, holes and loose triangles on a grid, turned about an axis.
 fn building(
     boxes: &[([i8; 3], [i8; 3])],
     loose: &[[[i8; 3]; 3]],
@@ -302,10 +320,10 @@ fn building(
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
-    /// Whoever walks from the seed along free segments stays in the region; the answers about boxes, faces
-    /// and triangles agree with those about points.
+    /// Walks from the seed along free segments stay in the region. The answers about boxes, faces and
+    /// triangles agree with the answers about points.
     #[test]
-    fn no_walk_leaves_the_region(
+    fn walks_stay_in_region(
         boxes in prop::collection::vec((prop::array::uniform3(-3i8..2), prop::array::uniform3(1i8..5)), 1..5),
         loose in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-4i8..5)), 0..6),
         holes in prop::collection::vec(any::<usize>(), 0..3),
@@ -326,7 +344,7 @@ proptest! {
                 prop_assert!(region.holds(to), "{to} is reached from {from}");
                 known.push(to);
             }
-            // A triangle that is seen from there has an area in common with the region.
+            // A triangle that is visible from this point shares an area with the region.
             let met: Vec<&Triangle> = scene.triangles().iter().filter(|t| !misses(t, from, to)).collect();
             if let [t] = met[..]
                 && passes(t, from, to)
@@ -348,7 +366,7 @@ proptest! {
                 prop_assert!(parts.is_empty() || region.meets(bounds));
                 for part in parts {
                     let middle = part.rounded().iter().sum::<glam::DVec3>() / part.points().len() as f64;
-                    // Of a turned building, rounding may move the point over a wall.
+                    // In a turned building, rounding may move the point over a wall.
                     if turn.is_none() {
                         prop_assert!(region.holds(middle.as_vec3()));
                     }
@@ -357,15 +375,15 @@ proptest! {
         }
     }
 
-    /// A building that is turned, or whose triangles come in another order, encloses the same.
+    /// A turned building, and a building whose triangles have another order, enclose the same space.
     #[test]
-    fn turning_and_order_change_nothing(
+    fn enclosure_is_independent_of_rotation_and_order(
         boxes in prop::collection::vec((prop::array::uniform3(-3i8..1), prop::array::uniform3(2i8..5)), 1..4),
         angle in 0.0f32..3.0,
         seed in prop::array::uniform3(-0.9f32..0.9),
         spots in prop::collection::vec(prop::array::uniform3(-5.0f32..5.0), 40),
     ) {
-        // On a wall it would belong to both sides, and beside it after rounding.
+        // A seed on a wall belongs to both sides of the wall, and after rounding to only one side.
         prop_assume!(seed.iter().all(|s| (s - s.round()).abs() > 1e-3));
         let straight = building(&boxes, &[], &[], None);
         let mut other = straight.clone();
@@ -375,8 +393,8 @@ proptest! {
         let (first, region, _) = around(&scene(straight), seed);
         let (second, again, _) = around(&scene(other), seed);
         prop_assert_eq!(first == Enclosure::Closed, second == Enclosure::Closed);
-        // One box is closed in exact arithmetic however it is turned: its faces share their corners. Of
-        // several it depends on the planes which others are parted from the first.
+        // A turned box is closed in exact arithmetic, because its faces share their corners. With several
+        // boxes, the planes determine which other boxes are separated from the first.
         if let [only] = &boxes[..] {
             for spot in spots.iter().filter(|_| first == Enclosure::Closed) {
                 prop_assert_eq!(holds(&region, *spot), holds(&again, *spot));
@@ -388,7 +406,7 @@ proptest! {
             let far = |p: &&[f32; 3]| {
                 (0..3).all(|a| (p[a] - min[a]).abs() > 1e-3 && (p[a] - max[a]).abs() > 1e-3)
             };
-            // Where a way leads out, the inside of the box may be left undivided.
+            // If a way leads out, the inside of the box may be left undivided.
             for spot in spots.iter().filter(far).filter(|_| first == Enclosure::Closed) {
                 prop_assert_eq!(holds(&region, *spot), rounded.holds(turn * Vec3::from(*spot)));
             }

@@ -1,4 +1,4 @@
-//! Look-ups at run time against free segments, in results with the portals of random buildings.
+//! Tests of queries at run time against free segments, in results with the portals of random buildings.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,14 +9,15 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
-use sightline_portals::{Limits, Partition, table};
+use sightline_portals::{EnclosureLimits, Partition, table};
 use sightline_pvs::{Builder, CellTree, Header, Looker, Node, Object, Pvs, View};
 use sightline_scene::Scene;
 
-/// A result of one cell that shows every triangle.
+/// Creates a result of one cell that shows every triangle.
 fn result(scene: &Scene) -> Pvs {
     let bounds = scene.bounds();
-    let partition = Partition::new(scene, None, bounds, Limits::default(), &|| false).unwrap();
+    let partition =
+        Partition::new(scene, None, bounds, EnclosureLimits::default(), &|| false).unwrap();
     let tree = CellTree::new(bounds.corners().map(|c| c.to_array()), vec![Node::Leaf]).unwrap();
     let objects = vec![Object {
         name: "all".into(),
@@ -44,7 +45,7 @@ fn result(scene: &Scene) -> Pvs {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn nothing_in_view_is_left_out(
+    fn looker_returns_all_triangles_in_view(
         seed in any::<u64>(),
         angle in prop_oneof![Just(0.0f32), -1.5f32..1.5],
     ) {
@@ -53,15 +54,15 @@ proptest! {
         let mut looker = Looker::new(&pvs).unwrap().unwrap();
         let mut random = SplitMix64::new(seed ^ 2);
         let bounds = scene.bounds();
-        let mut point = |of: Aabb| {
+        let mut point = |bounds: Aabb| {
             let mut unit = || random.unit_f32();
-            of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
+            bounds.min + (bounds.max - bounds.min) * Vec3::new(unit(), unit(), unit())
         };
         let mut shares = Vec::new();
         for k in 0..40 {
             let (mut eye, at) = (point(bounds), point(bounds));
             if k % 4 == 0 {
-                // On a wall, or nearly.
+                // The viewpoint is on a wall, or nearly.
                 let t = scene.triangles()[(k * 7) % scene.triangles().len()].v;
                 eye = ((t[0] + t[1] + t[2]) / 3.0).clamp(bounds.min, bounds.max);
             }
@@ -81,7 +82,7 @@ proptest! {
                 let to = point(bounds);
                 let d = (to - eye).as_dvec3();
                 let (x, y, z) = (right.dot(d), up.dot(d), ahead.dot(d));
-                // Well within the view.
+                // The segment is well within the view.
                 if z > 0.0 && x.abs() < 0.999 * z && y.abs() < 0.577 * z {
                     for part in [1.0f32, 0.5, 0.25, 0.125] {
                         if let Some(id) = strictly_seen(&scene, eye, eye + (to - eye) * part) {

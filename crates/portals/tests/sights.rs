@@ -1,4 +1,4 @@
-//! What is seen through portals: known rooms, and random buildings against free segments.
+//! Tests of the sets through portals: known rooms, and random buildings against free segments.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,18 +9,28 @@ use glam::{Quat, Vec3};
 use proptest::prelude::*;
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
-use sightline_portals::{Limits, Partition, sights};
-use sightline_scene::generate::{Kind, Params, generate};
+use sightline_portals::{EnclosureLimits, Partition, sights};
+use sightline_scene::generate::{SceneKind, SceneParams, generate};
 use sightline_scene::{Scene, Triangle};
 
-fn seen(scene: &Scene, of: Aabb) -> Vec<u32> {
-    let partition =
-        Partition::new(scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
-    sights(&partition, of, false, &|| false).unwrap()
+fn seen(scene: &Scene, cell: Aabb) -> Vec<u32> {
+    let partition = Partition::new(
+        scene,
+        None,
+        scene.bounds(),
+        EnclosureLimits::default(),
+        &|| false,
+    )
+    .unwrap();
+    sights(&partition, cell, false, &|| false).unwrap()
 }
 
-/// Rooms at x = 0 to 5, z from 0 to 3, with doors at z from 0 to 1 and from 2 to 3 by turns. The floor, y =
-/// 0, is in squares with sides of 1/4; their triangles come first.
+/// Creates a row of rooms at x = 0 to 5, z from 0 to 3.
+///
+/// The doors alternate between z from 0 to 1 and z from 2 to 3.
+///
+/// The floor, at y = 0, consists of squares with sides of 1/4. Its triangles come first, and the function
+/// returns their number.
 fn zigzag() -> (Scene, usize) {
     let mut all = Vec::new();
     for i in 0..20 {
@@ -46,9 +56,10 @@ fn zigzag() -> (Scene, usize) {
 }
 
 #[test]
-fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
+fn alternating_doors_show_wedge_of_third_room_only() {
     let (scene, floor) = zigzag();
-    // From the face at x = 1 itself more is seen: a wall in it does not block what begins there.
+    // A cell that includes the face at x = 1 sees more, because a wall in the face does not block lines that
+    // begin there.
     let first = Aabb::new(Vec3::ZERO, Vec3::new(0.999, 1.0, 3.0));
     let found = seen(&scene, first);
     let is_seen = |id: usize| found.binary_search(&(id as u32)).is_ok();
@@ -65,7 +76,8 @@ fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
             assert!(!is_seen(id), "{v:?} is in the fourth room or behind it");
         }
         if least >= 2.0 && most <= 3.0 {
-            // Between z = x and z = 3x − 3, by the signs of both at the corners.
+            // The wedge is between z = x and z = 3x − 3. The signs of both at the corners tell whether a
+            // triangle is in it.
             let below = v.iter().all(|v| v.z - v.x < 0.0);
             let above = v.iter().all(|v| v.z - 3.0 * v.x + 3.0 > 0.0);
             let inside = v
@@ -83,11 +95,11 @@ fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
 }
 
 #[test]
-fn a_turned_building_lists_a_third_more_than_is_seen_at_most() {
-    // Straight, its walls are whole, and nothing else is listed.
+fn portals_list_at_most_third_more_in_turned_building() {
+    // In the straight building the walls are whole, and portals list no other triangles than exact queries.
     let straight = lists(2, 0.0);
     assert_eq!(straight.portals, straight.exact);
-    // Turned, its walls have cracks, and each of their triangles is in a plane of its own.
+    // In the turned building the walls have cracks, and each wall triangle has a separate plane.
     let turned = lists(2, 0.5);
     assert!(turned.leaves > 4 * straight.leaves && turned.exact > straight.exact);
     assert!(
@@ -99,7 +111,7 @@ fn a_turned_building_lists_a_third_more_than_is_seen_at_most() {
 }
 
 #[test]
-fn the_order_of_the_triangles_changes_no_set() {
+fn sets_are_independent_of_triangle_order() {
     let (scene, _) = zigzag();
     let mut random = SplitMix64::new(7);
     let mut order: Vec<usize> = (0..scene.triangles().len()).collect();
@@ -122,13 +134,13 @@ fn the_order_of_the_triangles_changes_no_set() {
 }
 
 #[test]
-fn turned_walls_hide_nearly_as_much_as_straight_ones() {
-    let params = Params {
+fn turned_walls_hide_nearly_as_much_as_straight_walls() {
+    let params = SceneParams {
         triangles: Some(2500),
         grid: Some([4, 3]),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    let rooms = generate(Kind::Rooms, &params).unwrap();
+    let rooms = generate(SceneKind::Rooms, &params).unwrap();
     let drawn = |angle: f32| -> usize {
         let turn = Quat::from_rotation_y(angle);
         let turned = |p: Vec3| if angle == 0.0 { p } else { turn * p };
@@ -138,10 +150,16 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
             .map(|t| Triangle { v: t.v.map(turned) })
             .collect();
         let scene = common::scene(all);
-        let partition =
-            Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let partition = Partition::new(
+            &scene,
+            None,
+            scene.bounds(),
+            EnclosureLimits::default(),
+            &|| false,
+        )
+        .unwrap();
         let Aabb { min, max } = rooms.bounds();
-        // Two places in each room, at half its height.
+        // The test uses two places in each room, at half its height.
         let places = (0..24).map(|k| Vec3::new((k % 8) as f32 + 0.5, 1.0, (k / 8) as f32 + 0.4));
         let count_seen = |place: Vec3| {
             let middle = turned(min + (max - min) * place / Vec3::new(8.0, 2.0, 3.0));
@@ -157,7 +175,7 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
         places.map(count_seen).sum()
     };
     let straight = drawn(0.0);
-    // Otherwise nothing could be drawn that is a quarter more.
+    // Otherwise no set could be larger by a quarter.
     assert!(
         straight * 2 < 24 * rooms.triangles().len(),
         "{straight} drawn of {}",
@@ -173,27 +191,34 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
 }
 
 #[test]
-fn a_stopped_search_says_so() {
+fn stopped_search_returns_none() {
     let (scene, _) = zigzag();
-    let partition =
-        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition = Partition::new(
+        &scene,
+        None,
+        scene.bounds(),
+        EnclosureLimits::default(),
+        &|| false,
+    )
+    .unwrap();
     assert_eq!(sights(&partition, scene.bounds(), false, &|| true), None);
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn what_a_free_segment_shows_is_never_hidden(
+    fn sights_contain_triangles_shown_by_free_segments(
         seed in any::<u64>(),
         angle in prop_oneof![Just(0.0f32), -1.5f32..1.5, Just(std::f32::consts::FRAC_PI_2)],
     ) {
         let scene = building(seed, angle);
-        let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let limits = EnclosureLimits::default();
+        let partition = Partition::new(&scene, None, scene.bounds(), limits, &|| false).unwrap();
         let mut random = SplitMix64::new(seed ^ 1);
         let bounds = scene.bounds();
-        let mut point = |of: Aabb| {
+        let mut point = |bounds: Aabb| {
             let mut unit = || random.unit_f32();
-            of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
+            bounds.min + (bounds.max - bounds.min) * Vec3::new(unit(), unit(), unit())
         };
         // Large cells of turned buildings are lit through thousands of portals.
         let parts: &[f32] = if angle == 0.0 { &[0.3, 0.3, 0.3, 0.3] } else { &[0.2, 0.1] };
@@ -203,7 +228,7 @@ proptest! {
             let found = sights(&partition, cell, false, &|| false).unwrap();
             for _ in 0..400 {
                 let (from, to) = (point(cell), point(bounds));
-                // The first triangle in a direction: shorter and shorter segments.
+                // Shorter and shorter segments find the first triangle in a direction.
                 for part in [1.0f32, 0.5, 0.25, 0.125] {
                     if let Some(id) = strictly_seen(&scene, from, from + (to - from) * part) {
                         prop_assert!(found.binary_search(&id).is_ok(), "{id} from {from} to {to}");
@@ -215,9 +240,9 @@ proptest! {
 }
 
 #[test]
-fn a_door_is_an_opening_of_its_name() {
-    use sightline_scene::kinds::{Kind, Kinds, Rule};
-    // Two rooms with a wall between them at x = 1, in which a door fills z from 0 to 1.
+fn door_is_opening_with_name() {
+    use sightline_scene::kinds::{KindRule, Kinds, SurfaceKind};
+    // The scene has two rooms with a wall between them at x = 1, in which a door fills z from 0 to 1.
     let mut walls: Vec<sightline_scene::Triangle> = Vec::new();
     for (axis, [u, v]) in [
         (1, [[0.0, 3.0], [0.0, 2.0]]),
@@ -237,20 +262,29 @@ fn a_door_is_an_opening_of_its_name() {
         count,
     };
     let objects = vec![object("walls", 0, first), object("front door", first, 2)];
-    let rule = Rule {
-        kind: Kind::Door,
+    let rule = KindRule {
+        kind: SurfaceKind::Door,
         glob: "front*".to_owned(),
     };
     let kinds = Kinds::from_runs(
-        [(first, Kind::Opaque, "file"), (2, Kind::Door, "--doors")],
+        [
+            (first, SurfaceKind::Opaque, "file"),
+            (2, SurfaceKind::Door, "--doors"),
+        ],
         vec![rule],
     );
     let scene = Scene::new("test", walls, objects)
         .unwrap()
         .with_kinds("test", kinds)
         .unwrap();
-    let partition =
-        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition = Partition::new(
+        &scene,
+        None,
+        scene.bounds(),
+        EnclosureLimits::default(),
+        &|| false,
+    )
+    .unwrap();
     let table = sightline_portals::table(&partition);
     assert_eq!(table.doors, ["front door"]);
     let shut: Vec<_> = table.portals.iter().filter(|p| p.door == 0).collect();
@@ -260,7 +294,7 @@ fn a_door_is_an_opening_of_its_name() {
                 .iter()
                 .all(|p| p.corners.iter().all(|c| c[0] == 1.0 && c[2] <= 1.0))
     );
-    // It does not block: the far wall is seen through it, and the door itself is in no set.
+    // The door does not block: the far wall is visible through it, and no set contains the door itself.
     let cell = Aabb::new(Vec3::new(0.2, 0.2, 0.2), Vec3::new(0.8, 0.8, 0.8));
     let found = sights(&partition, cell, false, &|| false).unwrap();
     let far = (0..first).filter(|id| scene.triangles()[*id as usize].v.iter().all(|v| v.x == 2.0));

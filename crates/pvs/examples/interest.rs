@@ -1,15 +1,18 @@
-//! Who may know of whom: what a game server tells each player, by the cells that see each other.
+//! Interest management of a game server, from cell-to-cell visibility.
 //!
-//! `cargo run --release -p sightline-pvs --example interest -- RESULT.pvs [MARGIN] < PLAYERS` reads a line
-//! `name x y z` or `name x y z margin` for each player and prints `name: others…` for each, in the order of
-//! the input. Blank lines and lines that begin with # are left out.
+//! `cargo run --release -p sightline-pvs --example interest -- RESULT.pvs [MARGIN] < PLAYERS` reads one line
+//! per player: `name x y z` or `name x y z margin`. The program prints a line `name: others…` per player, in
+//! the order of the input. `others` are the players whose positions the server must send to this player. The
+//! program skips blank lines and lines that begin with #.
 //!
-//! The margin is how far a player, body and all, may get on each axis before the next message: half the
-//! body, and the greatest speed times the time until then (the tick and the slowest connection). Both
-//! players have moved by then, so both are boxes: one is told of the other when any cell of the one's box
-//! sees a cell of the other's. Then nobody pops up late at a corner, and the answer is the same both ways.
+//! The margin is the largest distance, on each axis, from the position of a player that any part of the
+//! player may reach before the next message, in units of the scene. Compute the margin as half the size of
+//! the body, plus the maximum speed times the time until the next message (the tick and the slowest
+//! connection). Both players may move by then, so a box represents each of them. The server sends a player
+//! the position of another player if any cell of one box sees a cell of the other box. Then no player appears
+//! late at a corner, and the relation is symmetric.
 
-#![allow(clippy::print_stdout)] // A program for people at a terminal.
+#![allow(clippy::print_stdout)] // Users read the output at a terminal.
 
 use std::io::BufRead as _;
 
@@ -18,7 +21,7 @@ use sightline_pvs::{Pvs, PvsError};
 const USAGE: &str =
     "usage: interest RESULT.pvs [MARGIN] < PLAYERS, with lines `name x y z [margin]`";
 
-/// A player: the box that holds it until the next message, and the cells of that.
+/// A player: the box that contains the player until the next message, and the cells that the box meets.
 struct Player {
     name: String,
     min: [f32; 3],
@@ -39,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let pvs = Pvs::open(path)?;
     if pvs.cell_pairs()?.is_none() {
         return Err(format!(
-            "{path} does not say which cells see which; bake with --cell-to-cell on"
+            "{path} contains no cell-to-cell visibility; bake the scene again with --cell-to-cell on"
         )
         .into());
     }
@@ -53,9 +56,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     for (k, to) in players.iter().enumerate() {
         let mut told = Vec::new();
-        for (_, of) in players.iter().enumerate().filter(|(other, _)| *other != k) {
-            if may_know(&pvs, to, of)? {
-                told.push(of.name.as_str());
+        for (_, subject) in players.iter().enumerate().filter(|(other, _)| *other != k) {
+            if may_know(&pvs, to, subject)? {
+                told.push(subject.name.as_str());
             }
         }
         println!("{}: {}", to.name, told.join(" "));
@@ -63,15 +66,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Whether a player is told of another.
-fn may_know(pvs: &Pvs, to: &Player, of: &Player) -> Result<bool, PvsError> {
-    // Nothing is known of places outside the view box.
+/// Returns true if the server must send the position of the player `subject` to the player `to`.
+fn may_know(pvs: &Pvs, to: &Player, subject: &Player) -> Result<bool, PvsError> {
+    // The result contains no relations for positions outside the view box, so assume that every player is
+    // visible from there.
     let [lo, hi] = pvs.tree().view_box();
     if !(0..3).all(|a| lo[a] <= to.min[a] && to.max[a] <= hi[a]) {
         return Ok(true);
     }
     for cell in &to.cells {
-        if pvs.sees_box(*cell, of.min, of.max)? {
+        if pvs.sees_box(*cell, subject.min, subject.max)? {
             return Ok(true);
         }
     }

@@ -1,6 +1,6 @@
 //! Prints the objects to draw from a camera position: `cargo run --example lookup -- RESULT.pvs X Y Z`.
 
-#![allow(clippy::print_stdout)] // A program for people at a terminal.
+#![allow(clippy::print_stdout)] // Users read the output at a terminal.
 
 use sightline_pvs::Pvs;
 
@@ -13,11 +13,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let camera = [x.parse()?, y.parse()?, z.parse()?];
 
-    // Once, at the start: this maps the file and checks all of it. Share the result between threads as it is.
+    // Do this once, at the start: `open` maps the file and checks all of it. Threads can share the result.
     let pvs = Pvs::open(path)?;
 
-    // In every frame: find the cell of the camera. The set changes only when the cell does, so an engine
-    // keeps both.
+    // Do this in every frame: find the cell of the camera. The set changes only when the cell changes, so an
+    // engine should store both.
     let Some(cell) = pvs.find_cell(camera) else {
         println!(
             "the camera is outside the view box {:?}",
@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     };
 
-    // As ranges of triangle ids for draw calls. Reuse the vectors, so that later cells allocate nothing.
+    // Get the set as ranges of triangle ids for draw calls. Reuse the vectors, so that later cells allocate
+    // nothing.
     let (mut runs, mut objects) = (Vec::new(), Vec::new());
     pvs.visible_runs(cell, &mut runs)?;
     let triangles: usize = runs.iter().map(ExactSizeIterator::len).sum();
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         runs.len()
     );
 
-    // Or as whole objects of the scene, in the order of the scene file.
+    // Or get the set as whole objects of the scene, in the order of the scene file.
     pvs.visible_objects(cell, &mut objects)?;
     for object in objects {
         println!("  {}", pvs.objects()[object as usize].name);

@@ -1,7 +1,7 @@
-//! Times look-ups: `lookup_speed RESULT.pvs` prints the time to open the file, to find a point's cell, and to
-//! decode a cell's set in each of its three forms.
+//! Measures the time of look-ups: `lookup_speed RESULT.pvs` prints the time to open the file, to find the
+//! cell of a point, and to decode the set of a cell in each of its three forms.
 
-#![allow(clippy::print_stdout)] // A program for people at a terminal.
+#![allow(clippy::print_stdout)] // Users read the output at a terminal.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     let [lo, hi] = pvs.tree().view_box();
-    // Points of an additive recurrence are far from each other, so that no look-up warms the cache for the
+    // The points of an additive recurrence are far from each other, so no look-up warms the cache for the
     // next.
     let points: Vec<[f32; 3]> = (0..1_000_000u32)
         .map(|i| {
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "sees: {:.1} ns",
             start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
         );
-        // Boxes of a fiftieth of the view box, as of moving things.
+        // Boxes with a fiftieth of the size of the view box represent moving objects.
         let size: [f32; 3] = std::array::from_fn(|a| (hi[a] - lo[a]) / 50.0);
         let start = Instant::now();
         for ((a, _), p) in pairs() {
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
 
-    // The least of several times for each cell, which leaves out the other load of the machine.
+    // Keep the minimum of several times for each cell, which excludes other load of the machine.
     let mut ids = Vec::new();
     let mut runs = Vec::new();
     let mut bits = vec![0u64; (pvs.triangle_count() as usize).div_ceil(64)];
@@ -101,13 +101,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let cells = f64::from(pvs.cells());
     let [as_ids, as_runs, as_bits] = spent.map(|s| s * 1e6 / cells);
-    println!("{:.0} ids a cell on average", total as f64 / cells);
+    println!("{:.0} ids per cell on average", total as f64 / cells);
     println!(
-        "decode to ids: {as_ids:.1} µs a cell (worst {:.1}), {:.2} ns an id",
+        "decode to ids: {as_ids:.1} µs per cell (worst {:.1}), {:.2} ns per id",
         worst * 1e6,
         spent[0] * 1e9 / total.max(1) as f64
     );
-    println!("decode to runs: {as_runs:.1} µs a cell");
-    println!("decode to bits: {as_bits:.1} µs a cell");
+    println!("decode to runs: {as_runs:.1} µs per cell");
+    println!("decode to bits: {as_bits:.1} µs per cell");
     Ok(())
 }

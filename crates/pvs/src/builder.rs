@@ -1,10 +1,10 @@
-//! Writing a result: the builder checks its input and writes the sections. The module `hierarchy` chooses the
-//! sets of the inner tree nodes.
+//! Builder of result files: checks the input and writes the sections. The module `hierarchy` chooses the sets
+//! of the inner tree nodes.
 
 use std::fs::File;
 use std::io::Write;
 
-use crate::certificates::{Certificates, Kept};
+use crate::certificates::{CertificateBytes, Certificates};
 use crate::columns::{self, Column};
 use crate::error::PvsError;
 use crate::hierarchy::{CodedSet, Hierarchy};
@@ -16,89 +16,90 @@ use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, pars
 /// The parts of a result that are known before the first cell.
 #[derive(Clone, Debug)]
 pub struct Header {
-    /// N, the number of triangles.
+    /// The number of triangles, N.
     pub triangles: u32,
-    /// How the sets are made: "aggressive", "exact", "verified" or "portals".
+    /// The name of the method that computed the sets: "aggressive", "exact", "verified" or "portals".
     pub method: String,
     /// The view cells.
     pub tree: CellTree,
-    /// The scene's objects, tiling triangles 0…N−1 in order.
+    /// The objects of the scene, which tile the triangles 0…N−1 in order.
     pub objects: Vec<Object>,
-    /// Parameters, numerics profile and counters of the bake as JSON; this crate does not read it.
+    /// The parameters, numerics profile and counters of the bake as JSON. This crate does not parse the text.
     pub info_json: String,
 }
 
-/// Sizes of a finished file.
+/// The sizes of the parts of a finished file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stats {
-    /// Length of the file.
+    /// The length of the file, in bytes.
     pub file_bytes: u64,
-    /// Bytes of the visible sets with their offsets.
+    /// The size of the visible sets with their offsets, in bytes.
     pub visible_bytes: u64,
-    /// Bytes of the undecided sets with their offsets; 0 when nothing is undecided.
+    /// The size of the undecided sets with their offsets, in bytes; 0 if no item is undecided.
     pub undecided_bytes: u64,
-    /// Bytes of the columns; 0 when there are none.
+    /// The size of the columns, in bytes; 0 if the file has no columns.
     pub column_bytes: u64,
-    /// Bytes of the certificates with their offsets; 0 when there are none.
+    /// The size of the certificates with their offsets, in bytes; 0 if the file has no certificates.
     pub certificate_bytes: u64,
-    /// Bytes of the relations between cells; 0 when there are none.
+    /// The size of the relations between cells, in bytes; 0 if the file has no such relations.
     pub pair_bytes: u64,
-    /// Bytes of the contributions with their offsets; 0 when there are none.
+    /// The size of the contributions with their offsets, in bytes; 0 if the file has no contributions.
     pub contribution_bytes: u64,
-    /// Sum of the sizes of the visible sets.
+    /// The sum of the numbers of ids in the visible sets.
     pub visible_ids: u64,
-    /// Sum of the sizes of the undecided sets.
+    /// The sum of the numbers of ids in the undecided sets.
     pub undecided_ids: u64,
 }
 
-/// The sets of a cell, which name the items of the result: triangles, unless [`Builder::set_items`] was
+/// The sets of a cell. The ids name the items of the result: triangles, unless [`Builder::set_items`] was
 /// called.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell<'a> {
-    /// The items to draw from it, ascending.
+    /// The items to draw from the cell, ascending.
     pub visible: &'a [u32],
-    /// Those of `visible` that were neither seen nor proved hidden, ascending.
+    /// The items of `visible` that were neither seen nor proved hidden, ascending.
     pub undecided: &'a [u32],
-    /// [`SET_ASIDE`] and [`NOT_REACHED`]; other bits are stored as they are.
+    /// The bits [`SET_ASIDE`] and [`NOT_REACHED`]. The builder stores other bits unchanged.
     pub flags: u32,
 }
 
-/// Collects the cells' sets in cell order and writes the file. The same input gives the same bytes.
+/// A builder that collects the sets of the cells in cell order and writes the file. Equal input gives equal
+/// bytes.
 pub struct Builder {
     header: Header,
     flags: Vec<u32>,
     visible: Hierarchy,
     undecided: Hierarchy,
-    /// The coded section; empty when there are no columns.
+    /// The coded section of columns; empty without columns.
     columns: Vec<u8>,
     certificates: Certificates,
-    /// The coded section of items; empty when the sets name triangles.
+    /// The coded section of items; empty if the sets name triangles.
     items: Vec<u8>,
-    /// How many items there are.
+    /// The number of items.
     item_count: u32,
-    /// The coded section; empty when the result does not say which cells see which.
+    /// The coded section of cell-to-cell relations; empty without them.
     pairs: Vec<u8>,
     contributions: Contributions,
-    /// Empty when viewpoints are not restricted to a region.
+    /// The coded region of the viewpoints; empty if viewpoints are not restricted to a region.
     region: Vec<u8>,
-    /// The coded section; empty without portals.
+    /// The coded section of portals; empty without portals.
     portals: Vec<u8>,
 }
 
 /// The contributions pushed so far.
 #[derive(Default)]
 struct Contributions {
-    /// Where those of each cell end.
+    /// The end offset of the contributions of each cell, in bytes.
     ends: Vec<u64>,
     bytes: Vec<u8>,
 }
 
 impl Builder {
-    /// Starts a result.
+    /// Creates a builder for a result with this header.
     ///
     /// # Errors
-    /// [`PvsError::Objects`] when the objects do not tile the triangles, [`PvsError::TooLarge`] for names or
-    /// counts beyond 32 bits.
+    /// [`PvsError::Objects`] if the objects do not tile the triangles. [`PvsError::TooLarge`] if a name or a
+    /// count does not fit in 32 bits.
     pub fn new(header: Header) -> Result<Self, PvsError> {
         check_tiling(
             header.triangles,
@@ -135,34 +136,37 @@ impl Builder {
         })
     }
 
-    /// Sets the region that holds all viewpoints, in bytes that this crate does not read.
+    /// Sets the region that contains all viewpoints, as bytes that this crate does not parse.
     pub fn set_region(&mut self, bytes: Vec<u8>) {
         self.region = bytes;
     }
 
-    /// Sets the portals, as [`crate::Portals::encode`] gives them.
+    /// Sets the portals, as bytes that [`crate::Portals::encode`] returned.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] when they are not of the result's triangles.
+    /// [`PvsError::Malformed`] if the portals do not belong to the result's triangles.
     pub fn set_portals(&mut self, bytes: Vec<u8>) -> Result<(), PvsError> {
         Portals::decode(&bytes, self.header.triangles)?;
         self.portals = bytes;
         Ok(())
     }
 
-    /// Sets what the sets name, before the first cell.
+    /// Sets the items that the ids of the sets name. Call this function before the first cell.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] when the triangles of an item do not ascend or reach N, and after a cell.
+    /// [`PvsError::Malformed`] if the triangle ids of an item do not ascend strictly or are not below N, or
+    /// if a cell was already pushed.
     pub fn set_items(&mut self, items: &Items) -> Result<(), PvsError> {
         if !self.flags.is_empty() {
-            return Err(Section::Items.malformed("the items come before the first cell"));
+            return Err(
+                Section::Items.malformed("a cell was pushed before the items; set the items first")
+            );
         }
         let Header {
             triangles, objects, ..
         } = &self.header;
         self.items = items.encode(*triangles, objects.len())?;
-        // `encode` has checked that the count fits.
+        // `encode` has checked that the count fits in 32 bits.
         self.item_count = match items {
             Items::Clusters(clusters) => clusters.len() as u32,
             Items::Objects { .. } => objects.len() as u32,
@@ -170,11 +174,11 @@ impl Builder {
         Ok(())
     }
 
-    /// Sets which cells see which, at any time before [`Self::finish`].
+    /// Sets the cell-to-cell relations, at any time before [`Self::finish`].
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] when the relations are over another number of cells, or a pair is undecided
-    /// and not visible.
+    /// [`PvsError::Malformed`] if the relations have another number of cells than the tree, or if a pair is
+    /// undecided and not visible.
     pub fn set_pairs(&mut self, pairs: &CellPairs) -> Result<(), PvsError> {
         pairs.check(self.header.tree.cells())?;
         self.pairs = pairs.encode();
@@ -182,26 +186,26 @@ impl Builder {
     }
 
     /// Adds the contributions of the items visible from the next cell, in the order of its visible set. Call
-    /// it for every cell or for none.
+    /// this function for every cell or for no cell.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] after the last cell.
-    pub fn push_contributions(&mut self, of: &[Contribution]) -> Result<(), PvsError> {
+    /// [`PvsError::CellCount`] if all cells already have contributions.
+    pub fn push_contributions(&mut self, contributions: &[Contribution]) -> Result<(), PvsError> {
         let all = &mut self.contributions;
         let (expected, pushed) = (self.header.tree.cells(), all.ends.len() as u64 + 1);
         if pushed > u64::from(expected) {
             return Err(PvsError::CellCount { expected, pushed });
         }
-        all.bytes.extend(of.iter().map(|c| c.byte()));
+        all.bytes.extend(contributions.iter().map(|c| c.byte()));
         all.ends.push(all.bytes.len() as u64);
         Ok(())
     }
 
-    /// Adds the next cell: the ids of the triangles to draw from it, those of them that were neither seen nor
-    /// proved hidden, and its flags; see [`Cell`].
+    /// Adds the next cell with its sets and flags. `undecided` contains the ids of `visible` that were
+    /// neither seen nor proved hidden. See [`Cell`].
     ///
     /// # Errors
-    /// As [`Self::push_cells`].
+    /// The errors of [`Self::push_cells`].
     pub fn push_cell(
         &mut self,
         visible: &[u32],
@@ -215,12 +219,14 @@ impl Builder {
         }])
     }
 
-    /// Adds the next cells. With the feature `parallel` all cores code them.
+    /// Adds the next cells. With the feature `parallel`, all cores code them.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] when the tree has fewer cells; [`PvsError::Ids`] when ids do not ascend
-    /// strictly or reach N, when `undecided` is not a subset of `visible`, or when a cell that was set aside
-    /// does not have all triangles visible. No cell is added then.
+    /// [`PvsError::CellCount`] if the tree has fewer cells than were pushed. [`PvsError::Ids`] if ids do not
+    /// ascend strictly or are not below the number of items, or if `undecided` is not a subset of `visible`.
+    /// Also if the visible set of a cell that was set aside neither contains all items nor equals
+    /// `undecided`, or if the visible set of a cell without viewpoints is not empty. On an error, no cell is
+    /// added.
     pub fn push_cells(&mut self, cells: &[Cell<'_>]) -> Result<(), PvsError> {
         let (first, expected) = (self.flags.len() as u64, self.header.tree.cells());
         let after = first + cells.len() as u64;
@@ -240,8 +246,8 @@ impl Builder {
         Ok(())
     }
 
-    /// A cell's visible and undecided sets, checked and coded.
-    fn coded(&self, cell: u32, of: &Cell<'_>) -> Result<[CodedSet; 2], PvsError> {
+    /// Checks and codes the visible and the undecided set of a cell.
+    fn coded(&self, cell: u32, sets: &Cell<'_>) -> Result<[CodedSet; 2], PvsError> {
         let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
         let count = self.item_count;
         let what = if self.items.is_empty() {
@@ -249,18 +255,24 @@ impl Builder {
         } else {
             "item"
         };
-        for (set, ids) in [("visible", of.visible), ("undecided", of.undecided)] {
+        for (set, ids) in [("visible", sets.visible), ("undecided", sets.undecided)] {
             if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
                 return Err(bad(
                     set,
-                    format!("{} comes before {}; ids must ascend", pair[0], pair[1]),
+                    format!(
+                        "id {} comes before id {}; ids must ascend strictly",
+                        pair[0], pair[1]
+                    ),
                 ));
             }
             if let Some(&last) = ids.last().filter(|&&last| last >= count) {
-                return Err(bad(set, format!("there is no {what} {last} among {count}")));
+                return Err(bad(
+                    set,
+                    format!("there is no {what} {last}; the result has {count}, numbered from 0"),
+                ));
             }
         }
-        let (seen, open) = (runs::from_ids(of.visible), runs::from_ids(of.undecided));
+        let (seen, open) = (runs::from_ids(sets.visible), runs::from_ids(sets.undecided));
         if !open.is_empty() {
             let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
             if let Some(id) = beyond.first() {
@@ -270,51 +282,56 @@ impl Builder {
                 ));
             }
         }
-        if of.flags & SET_ASIDE != 0
-            && of.visible != of.undecided
-            && of.visible.len() as u64 != u64::from(count)
+        if sets.flags & SET_ASIDE != 0
+            && sets.visible != sets.undecided
+            && sets.visible.len() as u64 != u64::from(count)
         {
             return Err(bad(
                 "visible",
-                format!("the cell is set aside, but not all {what}s are visible"),
+                format!(
+                    "the cell is set aside, so the set must contain all {what}s or equal the undecided set"
+                ),
             ));
         }
-        if of.flags & NOT_REACHED != 0 && !of.visible.is_empty() {
+        if sets.flags & NOT_REACHED != 0 && !sets.visible.is_empty() {
             return Err(bad(
                 "visible",
-                "no viewpoint is in the cell, but its set is not empty".to_owned(),
+                "the cell contains no viewpoint, so the set must be empty".to_owned(),
             ));
         }
         Ok([
-            CodedSet::new(&seen, of.visible.len()),
-            CodedSet::new(&open, of.undecided.len()),
+            CodedSet::new(&seen, sets.visible.len()),
+            CodedSet::new(&open, sets.undecided.len()),
         ])
     }
 
-    /// Sets the statistics of the bake, at any time before [`Self::finish`]. The file has the columns in this
-    /// order. They replace those of an earlier call; a file without columns has no section for them.
+    /// Sets the statistics of the bake, at any time before [`Self::finish`]. The file stores the columns in
+    /// this order. A later call replaces the columns of an earlier call. A file without columns has no
+    /// section for them.
     ///
     /// # Errors
-    /// [`PvsError::Column`] when a name is empty, longer than 64 bytes or not unique, or when a column does
-    /// not have one value for each cell of the tree; [`PvsError::TooLarge`] when the length of its data does
-    /// not fit 32 bits. The columns of an earlier call remain then.
+    /// [`PvsError::Column`] if a name is empty, longer than 64 bytes or not unique, or if a column does not
+    /// have one value per cell of the tree. [`PvsError::TooLarge`] if the length of a column's data does not
+    /// fit in 32 bits. On an error, the columns of an earlier call remain.
     pub fn set_columns(&mut self, columns: Vec<Column>) -> Result<(), PvsError> {
         self.columns = columns::encode(&columns, self.header.tree.cells())?;
         Ok(())
     }
 
-    /// Keeps certificates in `file`, which is empty and open for reading and writing, until [`Self::finish`]:
-    /// they may not fit in memory. Call it before the first [`Self::push_certificate`].
+    /// Stores certificates in `file` until [`Self::finish`], because they may not fit in memory.
+    ///
+    /// The file must be empty and open for reading and writing. Call this function before the first
+    /// [`Self::push_certificate`].
     pub fn keep_certificates_in(&mut self, file: File) {
-        self.certificates.kept = Kept::File(file);
+        self.certificates.kept = CertificateBytes::File(file);
     }
 
-    /// Adds the certificate of the next cell, as bytes that are opaque to this crate. Cells after the last
-    /// call have an empty one; without any call the file has no section for them.
+    /// Adds the certificate of the next cell, as bytes that this crate does not parse. Cells after the last
+    /// call have an empty certificate. Without any call, the file has no section for certificates.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when the scratch file cannot be
-    /// written, after which the builder cannot be used.
+    /// [`PvsError::CellCount`] if all cells already have a certificate. [`PvsError::Write`] if the scratch
+    /// file cannot be written; the builder cannot be used afterwards.
     pub fn push_certificate(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
         let (expected, pushed) = (
             self.header.tree.cells(),
@@ -326,10 +343,11 @@ impl Builder {
         self.certificates.push(bytes).map_err(PvsError::Write)
     }
 
-    /// Writes the file.
+    /// Writes the file to `out` and returns its sizes.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] when cells are missing, [`PvsError::Write`] when writing fails.
+    /// [`PvsError::CellCount`] if cells, or contributions of some cells, are missing. [`PvsError::Write`] if
+    /// writing fails.
     pub fn finish(mut self, out: &mut impl Write) -> Result<Stats, PvsError> {
         let Header {
             triangles,
@@ -362,8 +380,8 @@ impl Builder {
             .certificates
             .section(tree.cells())
             .map_err(PvsError::Write)?;
-        // Files have no sections that they do not need. A file of version 1 has no certificates without
-        // columns, so it has an empty section of columns then.
+        // Optional sections without contents are not written. A file of version 1 with certificates always
+        // has a section of columns, so write an empty one if there are no columns.
         let columns = !self.columns.is_empty() || certificates.is_some();
         let sources = parse::source_section(&objects);
         let before: [(Section, &[u8], bool); 8] = [
@@ -386,7 +404,7 @@ impl Builder {
         ];
         let before = || before.iter().filter(|s| s.2).map(|s| (s.0, s.1));
         let after = || after.iter().filter(|s| !s.1.is_empty()).copied();
-        let written = |(section, bytes): (Section, &[u8])| Written::of(section, bytes);
+        let written = |(section, bytes): (Section, &[u8])| Written::new(section, bytes);
         let sections: Vec<Written> = before()
             .map(written)
             .chain(certificates)
@@ -426,7 +444,7 @@ impl Builder {
 }
 
 impl Contributions {
-    /// Offsets and bytes; empty without contributions.
+    /// Returns the offsets and bytes of the section, which is empty without contributions.
     fn section(&self, cells: u32) -> Result<Vec<u8>, PvsError> {
         if self.ends.is_empty() {
             return Ok(Vec::new());
@@ -444,7 +462,7 @@ impl Contributions {
     }
 }
 
-/// Checks that ranges, each (first, count), tile 0 … `triangles` − 1 in order.
+/// Checks that ranges, given as (first, count), tile 0 … `triangles` − 1 in order.
 pub(crate) fn check_tiling(
     triangles: u32,
     ranges: impl Iterator<Item = (u32, u32)>,
@@ -489,7 +507,7 @@ fn tree_section(tree: &CellTree) -> Vec<u8> {
     bytes
 }
 
-/// The results of `f` for each index and cell; with the feature `parallel` on all cores.
+/// Returns the results of `f` for each index and cell. With the feature `parallel`, all cores compute them.
 fn each<T: Send>(cells: &[Cell<'_>], f: impl Fn(usize, &Cell<'_>) -> T + Sync) -> Vec<T> {
     #[cfg(feature = "parallel")]
     {

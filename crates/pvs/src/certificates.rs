@@ -6,25 +6,25 @@ use std::io::{self, Read as _, Seek as _, Write};
 
 use crate::layout::{Section, Written};
 
-/// Bytes read back at a time.
+/// The number of bytes that are read back from the scratch file at once.
 const AT_ONCE: usize = 1 << 20;
 
-/// The certificates pushed so far, one for each cell.
+/// The certificates pushed so far, one per cell.
 #[derive(Debug, Default)]
 pub(crate) struct Certificates {
-    /// Where the certificate of each cell ends, in bytes from the first.
+    /// The end offset of the certificate of each cell, in bytes from the start of the first certificate.
     pub ends: Vec<u64>,
-    pub kept: Kept,
+    pub kept: CertificateBytes,
 }
 
-/// Where the bytes are.
+/// The storage of the certificates' bytes.
 #[derive(Debug)]
-pub(crate) enum Kept {
+pub(crate) enum CertificateBytes {
     Memory(Vec<u8>),
     File(File),
 }
 
-impl Default for Kept {
+impl Default for CertificateBytes {
     fn default() -> Self {
         Self::Memory(Vec::new())
     }
@@ -33,8 +33,8 @@ impl Default for Kept {
 impl Certificates {
     pub fn push(&mut self, bytes: &[u8]) -> io::Result<()> {
         match &mut self.kept {
-            Kept::Memory(all) => all.extend_from_slice(bytes),
-            Kept::File(file) => file.write_all(bytes)?,
+            CertificateBytes::Memory(all) => all.extend_from_slice(bytes),
+            CertificateBytes::File(file) => file.write_all(bytes)?,
         }
         self.ends.push(self.length() + bytes.len() as u64);
         Ok(())
@@ -44,12 +44,12 @@ impl Certificates {
         self.ends.last().copied().unwrap_or(0)
     }
 
-    /// Length and checksum of the section; `None` without certificates.
+    /// Computes the length and the checksum of the section, or returns `None` without certificates.
     pub fn section(&mut self, cells: u32) -> io::Result<Option<Written>> {
         if self.ends.is_empty() {
             return Ok(None);
         }
-        let mut section = Written::of(Section::Certificates, &[]);
+        let mut section = Written::new(Section::Certificates, &[]);
         self.each(cells, &mut |bytes| {
             section.length += bytes.len() as u64;
             section.crc = crc32c::crc32c_append(section.crc, bytes);
@@ -62,7 +62,7 @@ impl Certificates {
         self.each(cells, &mut |bytes| out.write_all(bytes))
     }
 
-    /// Calls `take` with the offsets and then with the bytes, in pieces.
+    /// Calls `take` with the offsets and then with the certificates' bytes, in pieces.
     fn each(
         &mut self,
         cells: u32,
@@ -76,8 +76,8 @@ impl Certificates {
             .collect();
         take(&offsets)?;
         match &mut self.kept {
-            Kept::Memory(all) => take(all),
-            Kept::File(file) => {
+            CertificateBytes::Memory(all) => take(all),
+            CertificateBytes::File(file) => {
                 file.rewind()?;
                 let mut piece = vec![0; AT_ONCE.min(usize::try_from(length).unwrap_or(AT_ONCE))];
                 let mut left = length;
@@ -99,13 +99,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_gives_the_same_bytes_as_memory() {
-        // Pieces that end before, at and after the number of bytes read back at a time.
+    fn file_and_memory_give_same_bytes() {
+        // The pieces end before, at and after the number of bytes that are read back at once.
         let pieces: Vec<Vec<u8>> = [AT_ONCE - 1, 1, 0, AT_ONCE, 3]
             .iter()
             .map(|n| (0..*n).map(|i| (i * 31 + n) as u8).collect())
             .collect();
-        let written = |kept: Kept| {
+        let written = |kept: CertificateBytes| {
             let mut certificates = Certificates {
                 ends: Vec::new(),
                 kept,
@@ -121,9 +121,9 @@ mod tests {
             );
             out
         };
-        let memory = written(Kept::default());
+        let memory = written(CertificateBytes::default());
         assert_eq!(memory.len(), 8 * 8 + 2 * AT_ONCE + 3);
         assert_eq!(memory[8 * 5..8 * 6], (2 * AT_ONCE as u64 + 3).to_le_bytes());
-        assert!(written(Kept::File(tempfile::tempfile().unwrap())) == memory);
+        assert!(written(CertificateBytes::File(tempfile::tempfile().unwrap())) == memory);
     }
 }

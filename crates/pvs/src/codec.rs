@@ -1,27 +1,35 @@
-//! The bytes of a set: lengths of alternating gaps and runs (Nirenstein 2003, appendix B.2, extended to runs
-//! of ones), each as an exponential Golomb code.
+//! The coded form of a set. It consists of the lengths of alternating gaps and runs (Nirenstein 2003,
+//! appendix B.2, extended to runs of ones), each as an exponential Golomb code.
 //!
-//! A set has one byte of flags. Unless it is empty, these follow: a byte for the order k of the gap code, a
-//! byte for the order of the run code, the number of runs and the bytes of the gap codes as LEB128 numbers,
-//! the codes of all gaps, and the codes of all runs. Codes fill bytes from the least bit up; the last byte is
-//! padded with zeros. Gaps and runs are two streams so that a processor can decode a gap and a run at the
-//! same time. No bytes at all are the empty set in relative form.
+//! A set has one byte of flags. Unless the set is empty, the following parts come next:
 //!
-//! With w = v + 2ᵏ and n = ⌊log₂ w⌋, the code of v is n − k zeros, a one, and the low n bits of w. Gap
-//! lengths are coded less 1 except the first; runs less 1.
+//! - a byte for the order k of the gap code,
+//! - a byte for the order of the run code,
+//! - the number of runs and the number of bytes of the gap codes, as LEB128 numbers,
+//! - the codes of all gaps,
+//! - the codes of all runs.
+//!
+//! Codes fill bytes from the least significant bit up. The last byte is padded with zeros. Gaps and runs are
+//! two streams, so that a processor can decode a gap and a run at the same time. A coded set of zero bytes is
+//! the empty set in relative form.
+//!
+//! With w = v + 2ᵏ and n = ⌊log₂ w⌋, the code of v consists of n − k zeros, a one, and the low n bits of w.
+//! The coded value of a gap is its length less 1, except for the first gap. The coded value of a run is its
+//! length less 1.
 
-/// Flag: the set is in absolute form; the sets above it on the root path do not count.
+/// The flag of a set in absolute form: a reader ignores the sets of the nodes above on the path from the
+/// root.
 const ABSOLUTE: u8 = 1;
-/// Flag: the set is empty, nothing follows.
+/// The flag of an empty set, after which no bytes follow.
 const EMPTY: u8 = 2;
-/// The largest order of a code that is useful for 32-bit numbers.
+/// The maximum order of a code that is useful for 32-bit numbers.
 const MAX_ORDER: u32 = 31;
 
-/// The fault of a coded set.
+/// A description of the fault of a coded set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadSet(pub &'static str);
 
-/// Codes a set given by its boundaries (see [`crate::runs`]).
+/// Codes a set that is given by its boundaries (see [`crate::runs`]), and appends the code to `out`.
 pub fn encode(bounds: &[u32], absolute: bool, out: &mut Vec<u8>) {
     if bounds.is_empty() {
         if absolute {
@@ -41,13 +49,13 @@ pub fn encode(bounds: &[u32], absolute: bool, out: &mut Vec<u8>) {
     out.extend(runs.1);
 }
 
-/// Whether a coded set is absolute.
+/// Returns true if a coded set is in absolute form.
 pub fn is_absolute(bytes: &[u8]) -> bool {
     bytes.first().is_some_and(|flags| flags & ABSOLUTE != 0)
 }
 
 /// Decodes a set of ids below `limit`. Calls `each` with the start and the exclusive end of each run,
-/// ascending. On an error `each` may have been called for some runs.
+/// ascending. On an error, `each` may have been called for some runs.
 pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Result<(), BadSet> {
     let Some((&flags, rest)) = bytes.split_first() else {
         return Ok(());
@@ -56,16 +64,16 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
         return Ok(());
     }
     if flags & !ABSOLUTE != 0 {
-        return Err(BadSet("unknown flags"));
+        return Err(BadSet("a set has unknown flags"));
     }
     let &[gap_order, run_order, ref rest @ ..] = rest else {
-        return Err(BadSet("it ends within its header"));
+        return Err(BadSet("a set is cut short within its header"));
     };
     let (gap_order, run_order) = (u32::from(gap_order), u32::from(run_order));
     if gap_order.max(run_order) > MAX_ORDER {
-        return Err(BadSet("the order of its code is above 31"));
+        return Err(BadSet("the order of a set's code is above 31"));
     }
-    let short = BadSet("it is cut short");
+    let short = BadSet("a set is cut short");
     let (count, rest) = read_varint(rest).ok_or(short)?;
     let (gap_bytes, rest) = read_varint(rest).ok_or(short)?;
     let (gaps, runs) = usize::try_from(gap_bytes)
@@ -74,16 +82,16 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
         .ok_or(short)?;
     // Every code has at least one bit, so the number of bytes bounds the loop.
     if count == 0 || count > gaps.len().min(runs.len()) as u64 * 8 {
-        return Err(BadSet("its count does not fit its length"));
+        return Err(BadSet("the number of a set's runs does not fit its length"));
     }
     let (mut gaps, mut runs) = (BitReader::new(gaps), BitReader::new(runs));
-    // The end of the previous run; −1 before the first run, whose gap may be 0.
+    // The end of the previous run. The value −1 before the first run allows a first gap of 0.
     let mut end = -1i64;
     for _ in 0..count {
         let start = end + 1 + gaps.code(gap_order)?;
         end = start + 1 + runs.code(run_order)?;
         if end > i64::from(limit) {
-            return Err(BadSet("it has ids beyond the last triangle"));
+            return Err(BadSet("a set has an id that is too large"));
         }
         each(start as u32, end as u32);
     }
@@ -91,7 +99,7 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     runs.finish()
 }
 
-/// The numbers to code, each with whether it is a run's.
+/// Returns the numbers to code, each with a flag that is true for runs.
 fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
     // Boundaries ascend strictly, so only the first gap can be 0; it is coded without subtracting 1.
     bounds
@@ -100,7 +108,7 @@ fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
         .map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
 }
 
-/// The order that codes the numbers in the fewest bits; the least order among equals.
+/// Returns the order that codes the numbers in the fewest bits. Of several such orders, returns the lowest.
 fn best_order(values: impl Iterator<Item = u32>) -> u32 {
     // The number of values with `length` bits and `ones` leading ones, which determine the length of every
     // code.
@@ -110,7 +118,7 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
         let ones = v.checked_shl(32 - length).unwrap_or(0).leading_ones();
         counts[length as usize][ones as usize] += 1;
     }
-    // Few of these pairs occur.
+    // Only few of these pairs occur.
     let kinds: Vec<(u32, u32, u64)> = (0..33u32)
         .flat_map(|l| (0..=l).map(move |o| (l, o)))
         .map(|(l, o)| (l, o, counts[l as usize][o as usize]))
@@ -131,7 +139,7 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
             .map(|(length, ones, count)| count * code(*length, *ones))
             .sum()
     };
-    // For orders from the greatest length on, every code has k + 1 bits.
+    // From the maximum length on, all orders give codes of k + 1 bits.
     let longest = kinds.last().map_or(0, |kind| kind.0);
     (0..=longest.min(MAX_ORDER))
         .min_by_key(|&k| bits(k))
@@ -145,7 +153,7 @@ mod order_tests {
 
     proptest! {
         #[test]
-        fn the_order_is_the_best_of_all(
+        fn best_order_is_shortest_of_all_orders(
             values in proptest::collection::vec((any::<u32>(), 0u32..32).prop_map(|(v, s)| v >> s), 0..40),
         ) {
             let bits = |k: u32| -> u64 {
@@ -158,7 +166,7 @@ mod order_tests {
     }
 }
 
-/// The codes of all the numbers, one after another.
+/// Codes all numbers with order `k`, one after another.
 fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
     let mut bits = BitWriter {
         out: Vec::new(),
@@ -179,8 +187,8 @@ fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
     bits.finish()
 }
 
-/// Appends a number as LEB128: 7 bits a byte, the least first, the top bit set on all bytes but the last. The
-/// crate has its own code for it so that it depends on no other crate of the project.
+/// Appends a number as LEB128: 7 bits per byte, the least significant first. The top bit is set in all bytes
+/// but the last. The crate contains this code so that it depends on no other crate of the project.
 pub fn varint(mut v: u64, out: &mut Vec<u8>) {
     while v >= 0x80 {
         out.push(v as u8 | 0x80);
@@ -200,7 +208,7 @@ pub fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
-/// Most bits put at once: the buffer has at most 31 bits before.
+/// The maximum number of bits put at once: the buffer contains at most 31 bits before.
 const MOST_PUT: u32 = 33;
 
 struct BitWriter {
@@ -210,7 +218,7 @@ struct BitWriter {
 }
 
 impl BitWriter {
-    /// Appends the low `count` ≤ [`MOST_PUT`] bits of `value`, whose other bits are 0.
+    /// Appends the low `count` ≤ [`MOST_PUT`] bits of `value`. The other bits of `value` must be 0.
     fn put(&mut self, value: u64, count: u32) {
         self.buffer |= value << self.held;
         self.held += count;
@@ -232,7 +240,8 @@ impl BitWriter {
 
 struct BitReader<'a> {
     rest: &'a [u8],
-    /// The next bits, least first; bits from `held` on are 0 or a copy of the first bits of `rest`.
+    /// The next bits, least significant first. The bits from `held` on are 0 or a copy of the first bits of
+    /// `rest`.
     buffer: u64,
     held: u32,
 }
@@ -246,7 +255,7 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// Fills the buffer to at least 56 bits, or with all bits that are left.
+    /// Fills the buffer to at least 56 bits, or with all remaining bits.
     fn refill(&mut self) {
         if let Some((word, _)) = self.rest.split_first_chunk::<8>() {
             self.buffer |= u64::from_le_bytes(*word) << self.held;
@@ -264,10 +273,10 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// Decodes a number of order `k` ≤ 31.
+    /// Decodes a number with order `k` ≤ 31.
     #[inline(always)]
     fn code(&mut self, k: u32) -> Result<i64, BadSet> {
-        // Unconditional: a branch on whether it is needed costs more, since it cannot be predicted.
+        // Always refill: a branch would cost more, since the processor cannot predict it.
         self.refill();
         let zeros = self.buffer.trailing_zeros();
         let n = zeros + k;
@@ -288,9 +297,9 @@ impl<'a> BitReader<'a> {
         self.refill();
         let zeros = self.buffer.trailing_zeros();
         let n = zeros + k;
-        // 32-bit numbers need no more bits; a buffer of zeros gives 64 zeros.
+        // Numbers of 32 bits need at most n = 32. A buffer of zeros gives 64 zeros.
         if n > 32 {
-            return Err(BadSet("a length is beyond 32 bits"));
+            return Err(BadSet("the length of a gap or run exceeds 32 bits"));
         }
         self.take(zeros + 1)?;
         self.refill();
@@ -298,10 +307,10 @@ impl<'a> BitReader<'a> {
         Ok(((1 << n | low) - (1 << k)) as i64)
     }
 
-    /// The next `count` ≤ 33 bits.
+    /// Removes and returns the next `count` ≤ 33 bits.
     fn take(&mut self, count: u32) -> Result<u64, BadSet> {
         if count > self.held {
-            return Err(BadSet("it is cut short"));
+            return Err(BadSet("a set is cut short"));
         }
         let value = self.buffer & ((1 << count) - 1);
         self.buffer >>= count;
@@ -309,13 +318,13 @@ impl<'a> BitReader<'a> {
         Ok(value)
     }
 
-    /// Checks that only zeros are left, and less than a byte of them.
+    /// Checks that fewer than 8 bits remain and that all of them are zero.
     fn finish(self) -> Result<(), BadSet> {
         let spare = self.buffer & ((1u64 << self.held.min(63)) - 1);
         if self.rest.is_empty() && self.held < 8 && spare == 0 {
             Ok(())
         } else {
-            Err(BadSet("bytes follow its last run"))
+            Err(BadSet("bytes follow the last run of a set"))
         }
     }
 }
@@ -336,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn extremes_round_trip() {
+    fn extreme_sets_round_trip() {
         for absolute in [false, true] {
             round_trip(&[], absolute, 0);
             round_trip(&[0, 1], absolute, 1);
@@ -353,7 +362,8 @@ mod tests {
 
     #[test]
     fn long_codes_in_a_row_round_trip() {
-        // Covers 33-bit codes put while 31 bits are buffered: all numbers of short gaps before two long ones.
+        // This covers 33-bit codes put while 31 bits are buffered: all numbers of short gaps before two long
+        // ones.
         for short in 0..64u32 {
             let gaps = (0..short)
                 .map(|_| 1)
@@ -371,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_beyond_the_limit_are_refused() {
+    fn decode_rejects_ids_beyond_limit() {
         let mut bytes = Vec::new();
         encode(&[0, 11], false, &mut bytes);
         assert!(decode(&bytes, 11, |_, _| ()).is_ok());
@@ -380,7 +390,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_set_round_trips(ids in proptest::collection::btree_set(0u32..3000, 0..600), absolute: bool) {
+        fn random_sets_round_trip(
+            ids in proptest::collection::btree_set(0u32..3000, 0..600),
+            absolute: bool,
+        ) {
             let ids: Vec<u32> = ids.into_iter().collect();
             round_trip(&runs::from_ids(&ids), absolute, 3000);
         }
@@ -391,8 +404,8 @@ mod tests {
             round_trip(&runs::from_ids(&ids), false, u32::MAX);
         }
 
-        /// Many short lengths and a few long ones, as in large scenes: with a low order, long lengths have
-        /// long codes.
+        /// Covers many short lengths and a few long ones, as in large scenes. With a low order, long lengths
+        /// have long codes.
         #[test]
         fn uneven_sets_round_trip(
             lengths in proptest::collection::vec(
@@ -406,7 +419,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_give_ascending_runs_or_an_error(
+        fn decode_of_any_bytes_gives_ascending_runs_or_error(
             bytes in proptest::collection::vec(any::<u8>(), 0..80),
             limit: u32,
         ) {
@@ -420,7 +433,7 @@ mod tests {
         }
 
         #[test]
-        fn a_cut_set_is_refused(
+        fn decode_rejects_truncated_set(
             ids in proptest::collection::btree_set(0u32..3000, 1..100),
             part in 0.0f64..1.0,
         ) {

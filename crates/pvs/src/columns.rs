@@ -1,9 +1,9 @@
-//! The section of columns: named statistics of the bake, one value for each cell.
+//! The section of columns: named statistics of the bake, with one value per cell.
 //!
-//! The section has the number of columns as u32, then for each column the length of its name as u32, the name
-//! in UTF-8, the length of its data as u32, and the data: a LEB128 number for each cell in cell order, each
-//! in the fewest bytes. Most values are small. A file without columns has no such section instead of an empty
-//! one, so that equal contents have equal bytes.
+//! The section contains the number of columns as u32. For each column follow the length of its name as u32,
+//! the name in UTF-8, the length of its data as u32, and the data. The data has one LEB128 number per cell,
+//! in cell order, each in the fewest bytes: most values are small. A file without columns has no such
+//! section, and never an empty one, so that equal contents have equal bytes.
 
 use std::collections::BTreeSet;
 
@@ -11,21 +11,22 @@ use crate::codec::varint;
 use crate::error::PvsError;
 use crate::layout::Section;
 
-/// The longest name in bytes: a name is the head of a table's column.
+/// The maximum length of a name in bytes. A name is the header of a table column.
 const MAX_NAME: usize = 64;
-/// Bytes of a column besides its name and its values: two lengths.
+/// The number of bytes of a column in addition to its name and values: two lengths.
 const LENGTHS: u64 = 8;
 
-/// A statistic of the bake: one number for each cell.
+/// A statistic of the bake: one number per cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// Its name, for example `rays_uniform`: 1 to 64 bytes, different from the names of the other columns.
+    /// The name of the column, for example `rays_uniform`: 1 to 64 bytes, different from the other columns'
+    /// names.
     pub name: String,
-    /// The value of each cell, in cell order.
+    /// The values of the cells, in cell order.
     pub values: Vec<u64>,
 }
 
-/// Checks and codes the columns of a file with `cells` cells; no columns give no bytes.
+/// Checks and codes the columns of a file with `cells` cells. Returns no bytes if `columns` is empty.
 pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
     let mut bytes = Vec::new();
     if columns.is_empty() {
@@ -41,7 +42,7 @@ pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
         check_name(name, &mut names).map_err(|reason| bad(reason.to_owned()))?;
         if values.len() as u64 != u64::from(cells) {
             return Err(bad(format!(
-                "it has {} values for {cells} cells",
+                "{} values for {cells} cells; give one value per cell",
                 values.len()
             )));
         }
@@ -64,11 +65,11 @@ pub fn check(bytes: &[u8], cells: u32) -> Result<(), PvsError> {
     })
 }
 
-/// The columns of a file with `cells` cells.
+/// Decodes the columns of a file with `cells` cells.
 pub fn decode(bytes: &[u8], cells: u32) -> Result<Vec<Column>, PvsError> {
     let mut columns = Vec::new();
     for_each(bytes, cells, |name, data| {
-        // The data has at least a byte for each cell, so the file bounds this allocation.
+        // The data has at least one byte per cell, so the length of the file bounds this allocation.
         let mut values = Vec::with_capacity(cells as usize);
         each_value(name, data, cells, |value| values.push(value))?;
         columns.push(Column {
@@ -80,45 +81,53 @@ pub fn decode(bytes: &[u8], cells: u32) -> Result<Vec<Column>, PvsError> {
     Ok(columns)
 }
 
-/// Calls `each` with the name and the data of each column; the data has at least a byte for each cell.
+/// Calls `each` with the name and the data of each column. The data has at least one byte per cell.
 fn for_each<'a>(
     bytes: &'a [u8],
     cells: u32,
     mut each: impl FnMut(&'a str, &'a [u8]) -> Result<(), PvsError>,
 ) -> Result<(), PvsError> {
     let bad = |reason: &str| Section::Columns.malformed(reason);
-    let (count, mut rest) = take_length(bytes).ok_or_else(|| bad("it has no count"))?;
+    let (count, mut rest) =
+        take_length(bytes).ok_or_else(|| bad("the number of columns is missing"))?;
     if count == 0 {
-        return Err(bad("it has no columns; then there is no such section"));
+        return Err(bad("the section exists, but contains no columns"));
     }
     // A name and each value have at least one byte.
     let least = u64::from(count).checked_mul(LENGTHS + 1 + u64::from(cells));
     if least.is_none_or(|least| least > rest.len() as u64) {
-        return Err(bad("its count does not fit its length"));
+        return Err(bad(
+            "the number of columns does not fit the length of the section",
+        ));
     }
     let mut names = BTreeSet::new();
     for _ in 0..count {
-        let (name, after) = take_bytes(rest).ok_or_else(|| bad("a name reaches beyond its end"))?;
-        let (data, after) =
-            take_bytes(after).ok_or_else(|| bad("a column reaches beyond its end"))?;
+        let (name, after) =
+            take_bytes(rest).ok_or_else(|| bad("a name reaches beyond the end of the section"))?;
+        let (data, after) = take_bytes(after)
+            .ok_or_else(|| bad("a column reaches beyond the end of the section"))?;
         rest = after;
         let name =
             std::str::from_utf8(name).map_err(|e| Section::Columns.malformed(e.to_string()))?;
-        // The message leaves out the name, which is the fault and may have any length.
-        check_name(name, &mut names).map_err(|reason| bad(&format!("of a column, {reason}")))?;
+        // The message omits the name, because the name is invalid and may have any length.
+        check_name(name, &mut names)
+            .map_err(|reason| bad(&format!("a column is not valid: {reason}")))?;
         if (data.len() as u64) < u64::from(cells) {
-            return Err(bad_values(name, "it has fewer values than there are cells"));
+            return Err(bad_values(
+                name,
+                "the data has fewer bytes than the file has cells",
+            ));
         }
         each(name, data)?;
     }
     if rest.is_empty() {
         Ok(())
     } else {
-        Err(bad("bytes follow its last column"))
+        Err(bad("bytes follow the last column"))
     }
 }
 
-/// Calls `each` with the values of a column's data, which must have one value for each cell and nothing else.
+/// Calls `each` with the values of a column's data, which must contain exactly one value per cell.
 fn each_value(
     name: &str,
     mut data: &[u8],
@@ -133,15 +142,15 @@ fn each_value(
     if data.is_empty() {
         Ok(())
     } else {
-        Err(bad_values(name, "bytes follow its last value"))
+        Err(bad_values(name, "bytes follow the last value"))
     }
 }
 
 fn bad_values(name: &str, reason: &str) -> PvsError {
-    Section::Columns.malformed(format!("of column {name:?}, {reason}"))
+    Section::Columns.malformed(format!("column {name:?} is not valid: {reason}"))
 }
 
-/// Checks a name, which must not be among the `earlier` ones.
+/// Checks a name, which must not be among the names in `earlier`, and adds it to them.
 fn check_name<'a>(name: &'a str, earlier: &mut BTreeSet<&'a str>) -> Result<(), &'static str> {
     if !(1..=MAX_NAME).contains(&name.len()) {
         return Err("the name must have 1 to 64 bytes");
@@ -149,11 +158,11 @@ fn check_name<'a>(name: &'a str, earlier: &mut BTreeSet<&'a str>) -> Result<(), 
     if earlier.insert(name) {
         Ok(())
     } else {
-        Err("the name is that of an earlier one")
+        Err("an earlier column has the same name")
     }
 }
 
-/// A length as the file has it.
+/// Returns a length in the form in which the file stores it.
 fn length(what: &'static str, value: usize) -> Result<[u8; 4], PvsError> {
     let limit = u64::from(u32::MAX);
     u32::try_from(value)
@@ -165,32 +174,33 @@ fn length(what: &'static str, value: usize) -> Result<[u8; 4], PvsError> {
         })
 }
 
-/// Takes a length off the front; also the rest.
+/// Splits a length off the front of `bytes`. Also returns the rest.
 fn take_length(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     Some((u32::from_le_bytes(*length), rest))
 }
 
-/// Takes a length and that many bytes off the front; also the rest.
+/// Splits a length and that number of bytes off the front of `bytes`. Also returns the rest.
 fn take_bytes(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = take_length(bytes)?;
     rest.split_at_checked(usize::try_from(length).ok()?)
 }
 
-/// Takes a value off the front; also the rest. Unlike the codec's numbers, values use all of 64 bits. The
-/// crate has its own code for LEB128 so that it depends on no other crate of the project.
+/// Splits a value off the front of `bytes`. Also returns the rest. Unlike the numbers of the set codec,
+/// values use all 64 bits. The crate contains this LEB128 code so that it depends on no other crate of the
+/// project.
 fn take_value(bytes: &[u8]) -> Result<(u64, &[u8]), &'static str> {
     let mut value = 0u64;
     for (i, &byte) in bytes.iter().enumerate().take(10) {
-        // Nine bytes hold 63 bits.
+        // Nine bytes contain 63 bits.
         if i == 9 && byte > 1 {
             break;
         }
         value |= u64::from(byte & 0x7f) << (7 * i);
         if byte < 0x80 {
-            // One form for each value, so that the same columns are the same bytes.
+            // Each value has only one form, so that equal columns have equal bytes.
             return if i > 0 && byte == 0 {
-                Err("a value has more bytes than it needs")
+                Err("a value is not encoded in the fewest bytes")
             } else {
                 Ok((value, &bytes[i + 1..]))
             };
@@ -199,7 +209,7 @@ fn take_value(bytes: &[u8]) -> Result<(u64, &[u8]), &'static str> {
     Err(if bytes.len() < 10 {
         "a value is cut short"
     } else {
-        "a value is beyond 64 bits"
+        "a value exceeds 64 bits"
     })
 }
 
@@ -215,7 +225,7 @@ mod tests {
         }
     }
 
-    /// A section of columns, each given by its name and data, valid or not.
+    /// Returns a section of columns, each given by its name and data, valid or not.
     fn section(columns: &[(&[u8], &[u8])]) -> Vec<u8> {
         let mut bytes = (columns.len() as u32).to_le_bytes().to_vec();
         for part in columns.iter().flat_map(|c| [c.0, c.1]) {
@@ -226,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_are_as_described() {
+    fn encode_writes_documented_bytes() {
         let bytes = encode(
             &[
                 column("a", &[0, 127, 128]),
@@ -245,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_takes_a_byte_for_seven_bits() {
+    fn value_has_one_byte_per_seven_bits() {
         let size =
             |value| encode(&[column("a", &[value])], 1).unwrap().len() - 4 - LENGTHS as usize - 1;
         for bits in 1..=64u32 {
@@ -260,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_columns_are_not_coded() {
+    fn encode_rejects_bad_columns() {
         let why = |columns: &[Column]| match encode(columns, 2) {
             Err(PvsError::Column { reason, .. }) => reason,
             other => panic!("{other:?}"),
@@ -281,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_sections_are_named() {
+    fn errors_name_section_and_reason() {
         let why = |bytes: &[u8]| match (check(bytes, 2), decode(bytes, 2)) {
             (
                 Err(PvsError::Malformed {
@@ -296,12 +306,12 @@ mod tests {
             other => panic!("{other:?}"),
         };
         assert!(check(&section(&[(b"a", &[1, 2])]), 2).is_ok());
-        assert!(why(&[]).contains("no count"));
-        assert!(why(&[1, 0, 0]).contains("no count"));
+        assert!(why(&[]).contains("number of columns is missing"));
+        assert!(why(&[1, 0, 0]).contains("number of columns is missing"));
         assert!(why(&section(&[])).contains("no columns"));
         let mut many = section(&[(b"a", &[1, 2])]);
         many[..4].fill(0xff);
-        assert!(why(&many).contains("count does not fit"));
+        assert!(why(&many).contains("number of columns does not fit"));
         let mut long = section(&[(b"a", &[1, 2])]);
         long[4..8].fill(0xff);
         assert!(why(&long).contains("name reaches beyond"));
@@ -310,31 +320,37 @@ mod tests {
         assert!(why(&long).contains("column reaches beyond"));
         let mut more = section(&[(b"a", &[1, 2])]);
         more.push(0);
-        assert!(why(&more).contains("follow its last column"));
+        assert!(why(&more).contains("follow the last column"));
         assert!(why(&section(&[(b"a\xff", &[1, 2])])).contains("utf-8"));
         assert!(why(&section(&[(b"", &[1, 0x80, 1])])).contains("1 to 64"));
         assert!(why(&section(&[(&[b'a'; 65], &[1, 2])])).contains("1 to 64"));
         assert!(why(&section(&[(b"a", &[1, 2]), (b"a", &[1, 2])])).contains("earlier"));
-        assert!(why(&section(&[(b"ab", &[1])])).contains("\"ab\", it has fewer values"));
+        assert!(
+            why(&section(&[(b"ab", &[1])]))
+                .contains("\"ab\" is not valid: the data has fewer bytes")
+        );
         assert!(why(&section(&[(b"a", &[1, 0x80])])).contains("cut short"));
-        assert!(why(&section(&[(b"a", &[1, 2, 3])])).contains("follow its last value"));
-        assert!(why(&section(&[(b"a", &[1, 0x81, 0])])).contains("more bytes than it needs"));
+        assert!(why(&section(&[(b"a", &[1, 2, 3])])).contains("follow the last value"));
+        assert!(
+            why(&section(&[(b"a", &[1, 0x81, 0])])).contains("not encoded in the fewest bytes")
+        );
         let mut beyond = vec![0xff; 9];
         beyond.extend([2, 1]);
-        assert!(why(&section(&[(b"a", &beyond)])).contains("beyond 64 bits"));
-        assert!(why(&section(&[(b"a", &[0xff; 12])])).contains("beyond 64 bits"));
+        assert!(why(&section(&[(b"a", &beyond)])).contains("exceeds 64 bits"));
+        assert!(why(&section(&[(b"a", &[0xff; 12])])).contains("exceeds 64 bits"));
     }
 
     proptest! {
         #[test]
-        fn any_columns_round_trip(
-            (cells, names, values) in (1usize..30).prop_flat_map(|cells| (
+        fn random_columns_round_trip(
+            table in (1usize..30).prop_flat_map(|cells| (
                 Just(cells),
                 proptest::collection::btree_set("[a-zü_]{1,32}", 0..6),
                 proptest::collection::vec((any::<u64>(), 0u32..64), 6 * cells),
             )),
         ) {
-            // Shifted, so that values of all lengths are equally likely.
+            let (cells, names, values) = table;
+            // The values are shifted, so that all lengths are equally likely.
             let values: Vec<u64> = values.into_iter().map(|(value, shift)| value >> shift).collect();
             let columns: Vec<Column> =
                 names.iter().zip(values.chunks(cells)).map(|(name, v)| column(name, v)).collect();
@@ -350,9 +366,9 @@ mod tests {
             }
         }
 
-        /// Bytes that are accepted are the only form of their contents.
+        /// Checks that accepted bytes are the only form of their contents.
         #[test]
-        fn any_bytes_are_an_error_or_are_coded_back(
+        fn accepted_bytes_encode_to_same_bytes(
             changes in proptest::collection::vec((any::<usize>(), any::<u8>()), 0..6),
             cut in 0usize..10,
             cells in 1u32..5,

@@ -1,18 +1,18 @@
-//! How much of the view each visible item takes, for each cell: a byte an item.
+//! The contribution of each visible item to the view, for each cell: one byte per item.
 //!
-//! The section has cells + 1 offsets as u64 and then, for each cell, a byte for each item of its visible set
-//! in ascending order: the level of the mean share in the low four bits, that of the greatest share in the
-//! high four. A share is a fraction of all directions around a viewpoint. Level 0 says that no line that
-//! measured contributions met the item; level k > 0 that the share is from 2^(k − 16) up to 2^(k − 15), and
-//! level 1 also holds what is smaller.
+//! The section contains cells + 1 offsets as u64. Then follows, for each cell, one byte per item of its
+//! visible set in ascending order. The low four bits are the level of the mean share, and the high four bits
+//! the level of the maximum share. A share is a fraction of all directions around a viewpoint. Level 0 means
+//! that no line that measured contributions met the item. Level k > 0 means that the share is between 2^(k −
+//! 16) and 2^(k − 15); level 1 also includes all smaller shares.
 
 use crate::error::PvsError;
 use crate::layout::{Section, u64_at};
 
-/// Highest level.
+/// The highest level.
 const MOST: u8 = 15;
 
-/// How much of the view an item takes, seen from a cell.
+/// The share of the view that an item fills, as seen from a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contribution {
     mean: u8,
@@ -20,8 +20,8 @@ pub struct Contribution {
 }
 
 impl Contribution {
-    /// The contribution of an item that takes the share `mean` of all directions on average over the cell,
-    /// and `greatest` from one viewpoint; 0 when no line met it.
+    /// Creates the contribution of an item from two shares of all directions, each 0 if no line met the item.
+    /// `mean` is the average over the cell, and `greatest` the maximum over single viewpoints.
     pub fn new(mean: f64, greatest: f64) -> Self {
         Self {
             mean: level(mean),
@@ -29,12 +29,12 @@ impl Contribution {
         }
     }
 
-    /// As a byte of the file.
+    /// Returns the contribution as a byte of the file.
     pub fn byte(self) -> u8 {
         self.mean | self.greatest << 4
     }
 
-    /// From a byte of the file.
+    /// Creates a contribution from a byte of the file.
     pub fn from_byte(byte: u8) -> Self {
         Self {
             mean: byte & MOST,
@@ -42,13 +42,13 @@ impl Contribution {
         }
     }
 
-    /// The least and the greatest mean share that it stands for, as fractions of all directions. Both are 0
-    /// when no line met the item.
+    /// Returns the bounds of the mean share, lower first, as fractions of all directions. Both bounds are 0
+    /// if no line met the item.
     pub fn mean(self) -> [f64; 2] {
         shares(self.mean)
     }
 
-    /// The same for the greatest share from one viewpoint.
+    /// Returns the bounds of the maximum share from one viewpoint, in the form of [`Self::mean`].
     pub fn greatest(self) -> [f64; 2] {
         shares(self.greatest)
     }
@@ -58,7 +58,7 @@ fn level(share: f64) -> u8 {
     if share <= 0.0 {
         return 0;
     }
-    // Comparisons with powers of two are exact, so the level is the same on every machine.
+    // Comparisons with powers of two are exact, so the level does not depend on the machine.
     (1..MOST).find(|k| share < shares(*k)[1]).unwrap_or(MOST)
 }
 
@@ -70,12 +70,12 @@ fn shares(level: u8) -> [f64; 2] {
     }
 }
 
-/// 2^(k − 15).
+/// Returns 2^(k − 15).
 fn power(k: u8) -> f64 {
     f64::from(1u32 << k.min(MOST)) / f64::from(1u32 << MOST)
 }
 
-/// The bytes of a cell's contributions in the section of a file with `cells` cells.
+/// Returns the bytes of a cell's contributions in the section of a file with `cells` cells.
 pub(crate) fn of_cell(section: &[u8], cell: u32, cells: u32) -> Result<&[u8], PvsError> {
     let head = (cells as usize + 1) * 8;
     let [from, to] = [0, 1].map(|k| u64_at(section, (cell as usize + k) * 8) as usize);
@@ -83,7 +83,10 @@ pub(crate) fn of_cell(section: &[u8], cell: u32, cells: u32) -> Result<&[u8], Pv
         .checked_add(from)
         .zip(head.checked_add(to))
         .and_then(|(a, b)| section.get(a..b));
-    bytes.ok_or_else(|| Section::Contributions.malformed("a cell's part is beyond its end"))
+    bytes.ok_or_else(|| {
+        Section::Contributions
+            .malformed("the contributions of a cell reach beyond the end of the section")
+    })
 }
 
 #[cfg(test)]
@@ -91,12 +94,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_level_holds_the_share_it_was_made_of() {
+    fn level_contains_its_share() {
         for share in [1e-9, 1e-5, 3.1e-5, 1e-3, 0.124, 0.125, 0.3, 0.5, 0.9, 1.0] {
             let c = Contribution::from_byte(Contribution::new(share, share / 2.0).byte());
-            for (at, of) in [(c.mean(), share), (c.greatest(), share / 2.0)] {
+            for (at, expected) in [(c.mean(), share), (c.greatest(), share / 2.0)] {
                 assert!(
-                    at[0] <= of && of <= at[1] && at[1] <= (2.0 * of).max(power(1)),
+                    at[0] <= expected
+                        && expected <= at[1]
+                        && at[1] <= (2.0 * expected).max(power(1)),
                     "{share} {at:?}"
                 );
             }

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-/// Why a `.pvs` file is refused or cannot be written.
+/// The reason why a `.pvs` file is rejected or cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum PvsError {
     /// The file cannot be opened or mapped.
     #[error("cannot read {path}: {source}")]
     Open {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The error of the operating system.
         source: std::io::Error,
@@ -16,54 +16,57 @@ pub enum PvsError {
     /// The result cannot be written.
     #[error("cannot write the result: {0}")]
     Write(#[source] std::io::Error),
-    /// The first bytes are not those of a result.
+    /// The first bytes are not the magic number of a result.
     #[error(
-        "this is not a .pvs file (it is empty or begins otherwise); name a file that `sightline bake` wrote"
+        "this is not a .pvs file: the file is empty or has other first bytes; name a file that \
+         `sightline bake` wrote"
     )]
     NotPvs,
     /// The file has another version of the format.
     #[error(
-        "this .pvs file has format version {found}, this program reads version {known}; bake it again"
+        "this .pvs file has format version {found}, this program reads version {known}; bake it \
+         again"
     )]
     Version {
-        /// The version of the file.
+        /// The format version of the file.
         found: u32,
-        /// The version of this crate.
+        /// The format version that this crate supports.
         known: u32,
     },
-    /// The file is shorter or longer than its header says.
+    /// The length of the file differs from the length that its header states.
     #[error(
-        "the .pvs file should have {expected} bytes and has {actual}; copy it again, or bake it again"
+        "the .pvs file should have {expected} bytes and has {actual}; copy it again, or bake it \
+         again"
     )]
     Length {
-        /// Bytes according to the header, or the least that a header needs.
+        /// The number of bytes that the header states, or the minimum size of a header.
         expected: u64,
-        /// Bytes of the file.
+        /// The number of bytes of the file.
         actual: u64,
     },
-    /// Some bytes were altered.
+    /// A section or the header does not match its checksum.
     #[error(
         "the .pvs file is damaged: the bytes of its {section} do not match their checksum; copy it again, or \
          bake it again"
     )]
     Checksum {
-        /// The part of the file.
+        /// The name of the damaged part of the file.
         section: &'static str,
     },
     /// The checksums match, but the contents contradict each other.
-    #[error("the {section} of the .pvs file is malformed: {reason}; bake it again")]
+    #[error("the .pvs file is malformed in its {section}: {reason}; bake the scene again")]
     Malformed {
-        /// The part of the file.
+        /// The name of the malformed part of the file.
         section: &'static str,
-        /// The fault.
+        /// A description of the fault.
         reason: String,
     },
     /// The nodes do not form a valid cell tree.
     #[error("the cell tree is not valid at node {node}: {reason}")]
     Tree {
-        /// Index in depth-first order.
+        /// The index of the node in depth-first order.
         node: usize,
-        /// The fault.
+        /// A description of the fault.
         reason: String,
     },
     /// The objects do not tile the triangles.
@@ -72,75 +75,75 @@ pub enum PvsError {
          objects must tile 0…N−1"
     )]
     Objects {
-        /// Index of the object (or the number of objects, when the last one does not end at N).
+        /// The index of the object, or the number of objects if the last one does not end at N.
         object: usize,
-        /// Its first triangle (or N).
+        /// The first triangle of the object, or N.
         first: u64,
-        /// The first triangle it must have.
+        /// The first triangle that the object must have.
         expected: u64,
     },
-    /// A cell's ids do not ascend or reach N, or `undecided` is not a subset of `visible`.
+    /// The ids of a cell's set do not ascend strictly, an id is too large, or the set does not fit the cell.
     #[error("the {set} set of cell {cell} is not valid: {reason}")]
     Ids {
-        /// The cell.
+        /// The index of the cell.
         cell: u32,
-        /// `visible` or `undecided`.
+        /// The name of the set: `visible` or `undecided`.
         set: &'static str,
-        /// The fault.
+        /// A description of the fault.
         reason: String,
     },
-    /// The number of pushed cells is not the number of leaves of the tree.
-    #[error("the tree has {expected} cells, and {pushed} were given")]
+    /// The number of cells for which sets, contributions or certificates were pushed does not fit the tree.
+    #[error("the tree has {expected} cells, but data for {pushed} was pushed")]
     CellCount {
-        /// Leaves of the tree.
+        /// The number of leaves of the tree.
         expected: u32,
-        /// Cells that were pushed.
+        /// The number of cells that were pushed.
         pushed: u64,
     },
     /// A column's name is not valid, or the column does not have one value for each cell.
     #[error("the column {name:?} is not valid: {reason}")]
     Column {
-        /// The name as it was given.
+        /// The name that the caller passed.
         name: String,
-        /// The fault.
+        /// A description of the fault.
         reason: String,
     },
-    /// A text or a count is beyond the limits of the format.
+    /// A text or a count exceeds a limit of the format.
     #[error("{what} is too large for a .pvs file ({value}, at most {limit})")]
     TooLarge {
-        /// Its name.
+        /// The name of the text or count.
         what: &'static str,
-        /// Its size.
+        /// The size of the text or count.
         value: u64,
-        /// The largest size allowed.
+        /// The maximum size.
         limit: u64,
     },
-    /// There is no such cell.
+    /// The file has no cell with this index.
     #[error("there is no cell {cell}; the file has {cells}, numbered from 0")]
     NoCell {
-        /// The cell that was asked for.
+        /// The index that the caller passed.
         cell: u32,
         /// The number of cells in the file.
         cells: u32,
     },
-    /// The file does not say which cells see which.
+    /// The file does not contain cell-to-cell relations.
     #[error(
-        "the file does not say which cells see which; bake it again with --cell-to-cell on, with at most \
-         32768 view cells and a method other than portals"
+        "the file contains no cell-to-cell visibility; bake it again with --cell-to-cell on, with \
+         at most 32768 view cells and a method other than portals"
     )]
     NoPairs,
-    /// The bit set passed in has the wrong length.
+    /// The bit set that the caller passed has the wrong length.
     #[error("the bit set has {given} words of 64; the file's triangles need {needed}")]
     BitsLength {
-        /// Words passed in.
+        /// The number of 64-bit words that the caller passed.
         given: usize,
-        /// Words needed.
+        /// The number of 64-bit words that the file's triangles need.
         needed: usize,
     },
-    /// There is not enough memory for a set.
-    #[error("there is not enough memory for a set over {triangles} triangles")]
+    /// The process has not enough memory for a set of triangles or for a relation between cells.
+    #[error("there is not enough memory for a table of {triangles} triangles or cells")]
     Memory {
-        /// The number of triangles, N.
+        /// The number of triangles of a set, or of cells of a relation.
         triangles: u32,
     },
 }

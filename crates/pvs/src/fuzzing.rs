@@ -1,16 +1,17 @@
-//! The body of the fuzz target `pvs`, which the tests call too.
+//! The body of the fuzz target `pvs`, which the tests call, too.
 
 use crate::layout::{u32_at, u64_at};
 use crate::{Looker, Pvs, View};
 
-/// Maximum number of triangles and of cells of a file that is read cell by cell, so that a run is fast.
+/// The maximum number of triangles, items and cells of a file that is read cell by cell. This limit bounds
+/// the time of a run.
 const MOST: u32 = 1 << 12;
 
-/// Opens bytes as a result, with their checksums and after the checksums are corrected, and reads the
-/// contents of every section. Returns true if the corrected bytes are a result.
+/// Opens bytes as a result, first unchanged and then with corrected checksums. Reads the contents of every
+/// section of the corrected file. Returns true if the corrected bytes are a result.
 ///
 /// # Panics
-/// Panics if ids are not ascending or out of range. No bytes may cause that.
+/// Panics if the ids of a set do not ascend or if an id is too large. No input may cause a panic.
 pub fn pvs(bytes: &[u8]) -> bool {
     let _ = Pvs::from_bytes(bytes);
     let mut sealed = bytes.to_vec();
@@ -24,7 +25,7 @@ pub fn pvs(bytes: &[u8]) -> bool {
     true
 }
 
-/// Reads everything that a result offers.
+/// Reads all data that a result offers.
 fn read(pvs: &Pvs) {
     let triangles = pvs.triangle_count();
     let ascending = |ids: &[u32], below: u32| {
@@ -106,7 +107,7 @@ fn read(pvs: &Pvs) {
     }
 }
 
-/// Corrects the checksums of bytes that are as long as a header. Bytes without a header stay as they are.
+/// Corrects the checksums of a file. Leaves bytes unchanged that are shorter than a header and its table.
 pub fn seal(file: &mut [u8]) {
     let Some(sections) = file.get(12..16).map(|word| u32_at(word, 0)) else {
         return;

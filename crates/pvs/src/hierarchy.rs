@@ -1,17 +1,18 @@
-//! The sets of a result's tree: the choice of the sets at inner nodes, and the form in which each set is
-//! coded.
+//! The sets of a result's tree: the choice of the sets at inner nodes, and the coded form of each set.
 //!
 //! A cell's set is the exclusive or of the sets along its root path (Nirenstein 2003, appendix B.1). The sets
-//! at inner nodes are free: Nirenstein takes the ids that most children see. Here they are chosen for each id
-//! such that the number of ids stored in the whole tree is least. This is the small parsimony problem, which
-//! Fitch's rule solves on a binary tree (Fitch 1971, "Toward defining the course of evolution", Systematic
-//! Zoology 20). On the way up, an id is *in* a node when it is in one child and not out of the other, *out*
-//! of it likewise, and *open* when the children contradict each other or are both open. On the way down, an
-//! open id follows the parent.
+//! at inner nodes are free: Nirenstein chooses the ids that most children see. This module chooses the sets
+//! for each id such that the number of ids stored in the whole tree is minimal. This is the small parsimony
+//! problem, which Fitch's rule solves on a binary tree (Fitch 1971, "Toward defining the course of
+//! evolution", Systematic Zoology 20).
 //!
-//! Sets are kept coded to save memory: the sets of the cells, the contradictions of each split, which the way
-//! down needs, and the set of every node in both of its forms. Subtrees are independent, so with the feature
-//! `parallel` all cores work on them.
+//! On the way up, an id is *in* a node if it is in one child and in or open in the other. An id is *out* of a
+//! node if it is out of one child and out or open in the other. An id is *open* if the children contradict
+//! each other or are both open. On the way down, an open id follows the parent.
+//!
+//! Sets are stored in coded form to save memory. This applies to the sets of the cells, to the contradictions
+//! of each split, which the way down needs, and to both forms of the set of every node. Subtrees are
+//! independent, so with the feature `parallel` all cores work on them.
 
 use crate::codec;
 use crate::error::PvsError;
@@ -19,12 +20,12 @@ use crate::layout::Section;
 use crate::runs;
 use crate::tree::CellTree;
 
-/// The sets of one kind (visible or undecided), one for each cell.
+/// The sets of one kind (visible or undecided), one per cell.
 #[derive(Default)]
 pub struct Hierarchy {
-    /// The number of cells with empty sets before the first other one.
+    /// The number of cells with empty sets before the first cell with a nonempty set.
     empty: usize,
-    /// The sets of the other cells in absolute form, in the order of the cells.
+    /// The sets of the remaining cells in absolute form, in cell order.
     cells: Vec<Vec<u8>>,
     ids: u64,
 }
@@ -36,7 +37,7 @@ pub struct CodedSet {
 }
 
 impl CodedSet {
-    /// Codes the set with these boundaries (see [`runs`]), which has `ids` ids.
+    /// Codes the set with these boundaries (see [`runs`]), which contains `ids` ids.
     pub fn new(set: &[u32], ids: usize) -> Self {
         let mut bytes = Vec::new();
         codec::encode(set, true, &mut bytes);
@@ -44,30 +45,30 @@ impl CodedSet {
     }
 }
 
-/// The average of a subtree by Fitch's rule. Sets as boundaries; the two are disjoint.
+/// The average of a subtree by Fitch's rule, as two disjoint sets given by boundaries.
 #[derive(Default)]
 struct Average {
-    /// Ids in the subtree.
+    /// The ids that are in the subtree.
     within: Vec<u32>,
-    /// Open ids.
+    /// The ids that are open in the subtree.
     open: Vec<u32>,
 }
 
 /// The coded sets of a node.
 #[derive(Clone, Default)]
 struct Coded {
-    /// Its set in absolute form, which is shorter for a set that differs much from its parent (a cell set
-    /// aside, say).
+    /// The node's set in absolute form. This form is shorter for a set that differs much from its parent's
+    /// set (for example of a cell set aside).
     absolute: Vec<u8>,
-    /// Its set as the difference from its parent.
+    /// The node's set as the difference from its parent's set.
     relative: Vec<u8>,
-    /// Of a split: the ids in its lower child and out of its upper child; the ids for which it is the
-    /// reverse.
+    /// The ids on which the children of a split differ. The first set has the ids in the lower and not in the
+    /// upper child, and the second set has the ids in the upper and not in the lower child.
     contradictions: [Vec<u8>; 2],
 }
 
 impl Hierarchy {
-    /// Adds the next cell's set.
+    /// Adds the set of the next cell.
     pub fn push(&mut self, set: CodedSet) {
         if set.ids == 0 && self.cells.is_empty() {
             self.empty += 1;
@@ -77,18 +78,19 @@ impl Hierarchy {
         self.ids += set.ids as u64;
     }
 
-    /// Sum of the sizes of the sets.
+    /// Returns the sum of the numbers of ids in the sets.
     pub fn ids(&self) -> u64 {
         self.ids
     }
 
-    /// Offsets and coded sets of all nodes of `tree`. The sets of all cells must have been pushed.
+    /// Returns the offsets and coded sets of all nodes of `tree`. The sets of all cells must have been
+    /// pushed.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] when a set coded here cannot be decoded, which would be a bug in this crate.
+    /// [`PvsError::Malformed`] if a set coded here cannot be decoded, which would be a bug in this crate.
     pub fn section(
         self,
-        of: Section,
+        section: Section,
         tree: &CellTree,
         triangles: u32,
     ) -> Result<Vec<u8>, PvsError> {
@@ -102,29 +104,29 @@ impl Hierarchy {
             }
         }
         let work = Work {
-            of,
+            section,
             tree,
             triangles,
         };
         let average = work.up(0, &mut nodes)?;
-        // Ids open at the root are out of it: either choice stores the same number of ids.
+        // Treat ids open at the root as out of it: either choice stores the same number of ids.
         work.down(0, &mut nodes, &[], &average.within)?;
         Ok(chosen(tree, &nodes))
     }
 }
 
-/// The passes up and down the tree. The nodes of a subtree follow its root, the lower child's before the
-/// upper's.
+/// The passes up and down the tree. The nodes of a subtree follow its root: first the lower child's nodes,
+/// then the upper child's.
 struct Work<'a> {
     /// The section that errors name.
-    of: Section,
+    section: Section,
     tree: &'a CellTree,
     triangles: u32,
 }
 
 impl Work<'_> {
-    /// The average of the subtree of `node`, whose nodes are `nodes`. Stores the contradictions of each
-    /// split.
+    /// Computes the average of the subtree of `node`, whose nodes are `nodes`. Stores the contradictions of
+    /// each split.
     fn up(&self, node: u32, nodes: &mut [Coded]) -> Result<Average, PvsError> {
         let Some(upper) = self.tree.upper(node) else {
             return Ok(Average {
@@ -137,7 +139,8 @@ impl Work<'_> {
         let (lower, upper) = (lower?, upper?);
         let [within, open, lower_only, upper_only] = runs::sweep(
             [&lower.within, &lower.open, &upper.within, &upper.open],
-            // Bits 0 and 1: in the lower child, open there; bits 2 and 3: the same of the upper one.
+            // Bits 0 and 1: ids in and ids open in the lower child. Bits 2 and 3: the same for the upper
+            // child.
             |m| match m {
                 0b0101 | 0b1001 | 0b0110 => 0b0001,
                 0b1010 => 0b0010,
@@ -152,8 +155,8 @@ impl Work<'_> {
         Ok(Average { within, open })
     }
 
-    /// Codes the node's set in both forms and continues with its children. The recursion is as deep as the
-    /// tree, at most [`crate::MAX_DEPTH`].
+    /// Codes the node's set in both forms and continues with its children. The depth of the recursion is the
+    /// depth of the tree, at most [`crate::MAX_DEPTH`].
     fn down(
         &self,
         node: u32,
@@ -163,7 +166,7 @@ impl Work<'_> {
     ) -> Result<(), PvsError> {
         let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
         codec::encode(&difference, false, &mut nodes[0].relative);
-        // A cell's absolute form exists already.
+        // The absolute form of a cell's set exists already.
         let Some(upper) = self.tree.upper(node) else {
             return Ok(());
         };
@@ -187,12 +190,12 @@ impl Work<'_> {
         codec::decode(coded, self.triangles, |start, end| {
             bounds.extend([start, end])
         })
-        .map_err(|e| self.of.malformed(e.0))?;
+        .map_err(|e| self.section.malformed(e.0))?;
         Ok(bounds)
     }
 }
 
-/// The results of `a` and `b`; with the feature `parallel` in parallel.
+/// Returns the results of `a` and `b`. With the feature `parallel`, they run in parallel.
 fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
     #[cfg(feature = "parallel")]
     return rayon::join(a, b);
@@ -207,11 +210,11 @@ fn parts(nodes: &mut [Coded], node: u32, upper: u32) -> (&mut Coded, [&mut [Code
     (&mut own[0], [lower, upper])
 }
 
-/// The section with the form of each node's set that makes the section shortest.
+/// Returns the section with the form of each node's set that makes the section shortest.
 fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
-    // `referring`: bytes of a node's subtree without the node itself, when its children may refer to it.
-    // `standing`: bytes of its subtree when no set in it refers to a node above it. Children come after their
-    // parents, so the loop runs backwards.
+    // `referring` is the size of a node's subtree without the node itself, in bytes, if its children may
+    // refer to the node. `standing` is the size of the subtree if no set in it refers to a node above it.
+    // Children come after their parents, so the loop runs backwards.
     let mut referring = vec![0usize; nodes.len()];
     let mut standing = vec![0usize; nodes.len()];
     let children = |node: usize| {
@@ -231,12 +234,12 @@ fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
     }
     let mut offsets = vec![0u64];
     let mut sets: Vec<u8> = Vec::new();
-    // For each node, whether an ancestor's set is stored that it can refer to.
+    // True for each node that has an ancestor with a stored set to refer to.
     let mut may_refer = vec![false; nodes.len()];
     for (node, coded) in nodes.iter().enumerate() {
         let refers = may_refer[node] && coded.relative.len() + referring[node] <= standing[node];
         let children = children(node);
-        // An inner set that saves no bytes is left out: it takes no bytes, and no set below refers to it.
+        // An inner set that saves no bytes is omitted: it has no bytes, and no set below refers to it.
         let stands = children.is_none() || coded.absolute.len() + referring[node] <= standing[node];
         if refers {
             sets.extend(&coded.relative);
@@ -259,8 +262,8 @@ mod tests {
     use crate::tree::Node;
 
     #[test]
-    fn the_bytes_do_not_depend_on_threads() {
-        // A full tree of 64 cells along x; the sets share many ids, and some are empty.
+    fn bytes_do_not_depend_on_threads() {
+        // Build a full tree of 64 cells along x. The sets share many ids, and some are empty.
         fn grow(nodes: &mut Vec<Node>, lo: f32, hi: f32, levels: u32) {
             if levels == 0 {
                 return nodes.push(Node::Leaf);

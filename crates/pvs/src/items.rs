@@ -1,29 +1,29 @@
-//! The items of a result: what its sets name. A result names triangles, clusters of triangles, or objects.
+//! The items of a result: the triangles, clusters of triangles, or objects that its sets name.
 //!
-//! The section begins with a byte, 1 for clusters and 2 for objects, and the number of items as u32. Clusters
-//! follow as one coded set of triangles each (a LEB128 number, the length in bytes, and the set), and no two
-//! share a triangle. For objects, whose triangles the object table gives, one coded set follows: the
-//! triangles that are never visible, because they have no area or do not show. A result that names triangles
-//! has no such section.
+//! The section begins with one byte, 1 for clusters and 2 for objects, and the number of items as u32. For
+//! clusters, one coded set of triangles per cluster follows (a LEB128 number, which is the length in bytes,
+//! and the set). No two clusters share a triangle. For objects, whose triangles the object table lists, one
+//! coded set follows: the triangles that are never visible, because they have no area or do not show. A
+//! result whose sets name triangles has no such section.
 
 use crate::codec::{self, read_varint, varint};
 use crate::error::PvsError;
 use crate::layout::Section;
 use crate::{Object, runs};
 
-/// What the sets of a result name.
+/// The type of items that the sets of a result name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Granularity {
-    /// Triangles.
+    /// The sets name triangles.
     Triangles,
-    /// Clusters of neighbouring triangles of one object.
+    /// The sets name clusters of neighbouring triangles of one object.
     Clusters,
-    /// Objects.
+    /// The sets name objects.
     Objects,
 }
 
 impl Granularity {
-    /// Its name in flags and messages.
+    /// Returns the name of the granularity in flags and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Triangles => "triangles",
@@ -33,14 +33,14 @@ impl Granularity {
     }
 }
 
-/// The items of a result that names no triangles.
+/// The items of a result whose sets do not name triangles.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Items {
     /// The ascending triangles of each cluster.
     Clusters(Vec<Vec<u32>>),
-    /// The objects; the ascending triangles that are never visible.
+    /// The objects, with the triangles that are never visible.
     Objects {
-        /// Triangles without area, and those that do not show.
+        /// The triangles without area and the triangles that do not show, ascending.
         never: Vec<u32>,
     },
 }
@@ -49,8 +49,8 @@ pub enum Items {
 #[derive(Clone, Debug)]
 pub(crate) enum ItemTable {
     Triangles,
-    /// The boundaries of the runs of each cluster: those of cluster i are from `starts[i]` to
-    /// `starts[i + 1]`.
+    /// The boundaries of the runs of each cluster. The boundaries of cluster i are the range from `starts[i]`
+    /// to `starts[i + 1]` of `bounds`.
     Clusters {
         starts: Vec<u32>,
         bounds: Vec<u32>,
@@ -73,12 +73,14 @@ impl Items {
             Self::Objects { never } => (2, objects, std::slice::from_ref(never)),
         };
         let mut out = vec![kind];
-        let count = u32::try_from(count).map_err(|_| bad("it has too many items"))?;
+        let count = u32::try_from(count).map_err(|_| bad("the number of items exceeds 32 bits"))?;
         out.extend(count.to_le_bytes());
         let mut coded = Vec::new();
         for set in sets {
             if !ascending(set) {
-                return Err(bad("the triangles of an item do not ascend"));
+                return Err(bad(
+                    "the triangle ids of an item do not ascend or are too large",
+                ));
             }
             coded.clear();
             codec::encode(&runs::from_ids(set), false, &mut coded);
@@ -90,36 +92,40 @@ impl Items {
 }
 
 impl ItemTable {
-    /// Reads the section of a file with `triangles` triangles and these objects.
+    /// Decodes the section of a file with `triangles` triangles and these objects.
     pub fn decode(bytes: &[u8], triangles: u32, objects: &[Object]) -> Result<Self, PvsError> {
         let bad = |reason: &str| Section::Items.malformed(reason);
-        let (kind, rest) = bytes.split_first().ok_or_else(|| bad("it is empty"))?;
+        let (kind, rest) = bytes
+            .split_first()
+            .ok_or_else(|| bad("the section is empty"))?;
         let (count, mut rest) = rest
             .split_first_chunk::<4>()
-            .ok_or_else(|| bad("it has no count"))?;
+            .ok_or_else(|| bad("the number of items is missing"))?;
         let count = u32::from_le_bytes(*count) as usize;
         let mut next = |bounds: &mut Vec<u32>| {
-            let (length, after) = read_varint(rest).ok_or_else(|| bad("it is cut short"))?;
+            let (length, after) =
+                read_varint(rest).ok_or_else(|| bad("the section is cut short"))?;
             let set = usize::try_from(length)
                 .ok()
                 .and_then(|n| after.split_at_checked(n));
-            let (set, after) = set.ok_or_else(|| bad("an item reaches beyond its end"))?;
+            let (set, after) =
+                set.ok_or_else(|| bad("an item reaches beyond the end of the section"))?;
             rest = after;
             codec::decode(set, triangles, |start, end| bounds.extend([start, end]))
                 .map_err(|e| bad(&format!("an item: {}", e.0)))
         };
         let table = match kind {
             1 => {
-                // An item has at least a byte.
+                // An item has at least one byte.
                 if count > bytes.len() {
-                    return Err(bad("it has fewer bytes than items"));
+                    return Err(bad("the section has fewer bytes than items"));
                 }
                 let (mut starts, mut bounds) = (vec![0], Vec::new());
                 for _ in 0..count {
                     next(&mut bounds)?;
                     starts.push(
                         u32::try_from(bounds.len())
-                            .map_err(|_| bad("its items have too many runs"))?,
+                            .map_err(|_| bad("the items have more than 2³¹ runs"))?,
                     );
                 }
                 let mut all: Vec<[u32; 2]> =
@@ -132,22 +138,24 @@ impl ItemTable {
             }
             2 => {
                 if count != objects.len() {
-                    return Err(bad("it does not have as many items as there are objects"));
+                    return Err(bad(
+                        "the number of items differs from the number of objects",
+                    ));
                 }
                 let mut never = Vec::new();
                 next(&mut never)?;
                 Self::Objects { never }
             }
-            _ => return Err(bad("its kind is unknown")),
+            _ => return Err(bad("the first byte is not 1 or 2")),
         };
         if rest.is_empty() {
             Ok(table)
         } else {
-            Err(bad("bytes follow its last item"))
+            Err(bad("bytes follow the last item"))
         }
     }
 
-    /// What the sets name.
+    /// Returns the type of items that the sets name.
     pub fn granularity(&self) -> Granularity {
         match self {
             Self::Triangles => Granularity::Triangles,
@@ -156,7 +164,7 @@ impl ItemTable {
         }
     }
 
-    /// The number of items.
+    /// Returns the number of items.
     pub fn count(&self, triangles: u32, objects: &[Object]) -> u32 {
         match self {
             Self::Triangles => triangles,
@@ -165,7 +173,8 @@ impl ItemTable {
         }
     }
 
-    /// The maximal runs of triangles, as boundaries, of the items in `items` (boundaries, too).
+    /// Returns the triangles of `items` as the boundaries of maximal runs. `items` contains the boundaries of
+    /// runs of items.
     pub fn triangles(&self, items: &[u32], objects: &[Object]) -> Vec<u32> {
         match self {
             Self::Triangles => items.to_vec(),
@@ -192,7 +201,7 @@ impl ItemTable {
     }
 }
 
-/// The boundaries of ascending ranges, of which neighbours are joined.
+/// Returns the boundaries of ascending ranges, and joins adjacent ranges.
 fn joined(ranges: impl Iterator<Item = [u32; 2]>) -> Vec<u32> {
     let mut bounds: Vec<u32> = Vec::new();
     for [start, end] in ranges {

@@ -13,24 +13,24 @@
 //! | 40 | S × 24 | for each [`Section`] in order: its number (4), CRC-32C (4), offset (8), length (8) |
 //! | 40 + 24 S | | the sections, one after another, without gaps |
 //!
-//! Every byte is covered by exactly one checksum, and the header's checksum covers the offsets of the
-//! sections.
+//! Exactly one checksum covers each byte. The header's checksum covers the offsets of the sections.
 //!
-//! The sections up to [`Section::Undecided`] are in every file. A file of version 1 has the sections 0 to
-//! S − 1: seven, eight with columns, nine with certificates. A file of version 2 has any of the optional
+//! Every file has the sections up to [`Section::Undecided`]. A file of version 1 has the sections 0 to S − 1:
+//! seven, eight with columns, or nine with certificates. A file of version 2 has any of the optional
 //! sections, in the order of their numbers.
 
 use crate::error::PvsError;
 
-/// The newest version that this crate reads. It writes the oldest version that has the sections of a file.
+/// The newest version that this crate reads. The crate writes the oldest version that has the sections of a
+/// file.
 pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
-/// All sections there are.
+/// The number of different sections.
 const SECTIONS: usize = 15;
-/// Sections that every file has: those before the columns.
+/// The number of sections that every file has: the sections before the columns.
 pub(crate) const LEAST_SECTIONS: usize = Section::Columns as usize;
-/// Most sections of a file of version 1.
+/// The maximum number of sections of a file of version 1.
 const SECTIONS_OF_1: usize = Section::CellPairs as usize;
 const CRC_AT: usize = 36;
 const TABLE_AT: usize = 40;
@@ -38,44 +38,47 @@ const TABLE_AT: usize = 40;
 /// The sections in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Section {
-    /// JSON of the bake, UTF-8; opaque to this crate.
+    /// The JSON text of the bake, in UTF-8, which this crate does not parse.
     Info,
-    /// How the sets were made, UTF-8.
+    /// The name of the method that computed the sets, in UTF-8.
     Method,
-    /// View box as six f32 (min, max); then 8 bytes a node: axis (3 for a leaf) as u32, plane as f32 (0 for a
-    /// leaf).
+    /// The view box as six f32 (min, max), then 8 bytes per node: axis (3 for a leaf) as u32, plane as f32 (0
+    /// for a leaf).
     Tree,
-    /// Count as u32; for each object first, count and length of its name as u32; then the names, UTF-8.
+    /// The objects: count as u32, then for each object its first triangle, count and length of its name as
+    /// u32, then the names in UTF-8.
     Objects,
-    /// A u32 for each cell.
+    /// The flags of the cells: one u32 per cell.
     Flags,
-    /// Nodes + 1 offsets as u64, then the coded sets of the nodes.
+    /// The visible sets: nodes + 1 offsets as u64, then the coded sets of the nodes.
     Visible,
-    /// As [`Section::Visible`]; of length 0 when nothing is undecided in any cell.
+    /// The undecided sets, in the form of [`Section::Visible`]. The length is 0 if no cell has undecided
+    /// items.
     Undecided,
-    /// Statistics of the bake for each cell; optional. Count as u32; for each column the length of its name
-    /// as u32, the name in UTF-8, the length of its data as u32, and the data: a LEB128 number for each cell.
+    /// The statistics of the bake per cell, optional. Count as u32; for each column the length of its name as
+    /// u32, the name in UTF-8, the length of its data as u32, and the data: one LEB128 number per cell.
     Columns,
-    /// A certificate for each cell, opaque to this crate; optional. Cells + 1 offsets as u64, then the bytes
-    /// of the cells. A file with this section has the section of columns, too, which may be empty.
+    /// The certificates of the cells, which this crate does not parse, optional. Cells + 1 offsets as u64,
+    /// then the bytes of the cells. A file with this section also has the section of columns, which may be
+    /// empty.
     Certificates,
-    /// Which cells see which; optional. See the module `pairs`.
+    /// The cell-to-cell relations, optional. See the module `pairs`.
     CellPairs,
-    /// The items that the sets name instead of triangles; optional. See the module `items`.
+    /// The items that the sets name instead of triangles, optional. See the module `items`.
     Items,
-    /// How much of the view each visible item takes; optional. See the module `contributions`.
+    /// The contribution of each visible item to the view, optional. See the module `contributions`.
     Contributions,
-    /// Where each object is in its glTF file; optional. For each object the indices of node, mesh, primitive
-    /// and instance as four u32; `u32::MAX` where there is none.
+    /// The sources of the objects in their glTF file, optional. For each object the indices of node, mesh,
+    /// primitive and instance as four u32; `u32::MAX` for a missing index.
     Sources,
-    /// The region that holds all viewpoints, opaque to this crate; optional.
+    /// The region that contains all viewpoints, which this crate does not parse, optional.
     Region,
-    /// The scene divided along its walls; optional. See the module `portals`.
+    /// The scene divided along its walls, optional. See the module `portals`.
     Portals,
 }
 
 impl Section {
-    /// All sections in order; those from the columns on are optional.
+    /// All sections in order. The sections from the columns on are optional.
     pub const ALL: [Self; SECTIONS] = [
         Self::Info,
         Self::Method,
@@ -94,7 +97,7 @@ impl Section {
         Self::Portals,
     ];
 
-    /// Its name in messages.
+    /// Returns the name of the section in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Info => "info",
@@ -129,23 +132,23 @@ pub(crate) struct Layout {
     pub triangles: u32,
     pub cells: u32,
     pub nodes: u32,
-    /// Bit i: the file has section i.
+    /// The sections that the file has: bit i for section i.
     present: u32,
     ranges: [std::ops::Range<usize>; SECTIONS],
 }
 
 impl Layout {
-    /// Whether the file has a section.
+    /// Returns true if the file has a section.
     pub fn has(&self, section: Section) -> bool {
         self.present >> section as u32 & 1 == 1
     }
 
-    /// The range of a section in the file; empty when the file does not have the section.
+    /// Returns the range of a section in the file, which is empty if the file does not have the section.
     pub fn range(&self, section: Section) -> std::ops::Range<usize> {
         self.ranges[section as usize].clone()
     }
 
-    /// Reads the header and verifies length, tiling and all checksums.
+    /// Parses the header and verifies the file's length, the positions of the sections and all checksums.
     pub fn parse(file: &[u8]) -> Result<Self, PvsError> {
         let actual = file.len() as u64;
         if !file.starts_with(&MAGIC[..MAGIC.len().min(file.len())]) || file.is_empty() {
@@ -168,7 +171,7 @@ impl Layout {
         let sections = u32_at(header, 12) as usize;
         let known = (LEAST_SECTIONS..=if found == 1 { SECTIONS_OF_1 } else { SECTIONS })
             .contains(&sections);
-        // An impossible number is most likely an altered byte, which the checksum reports.
+        // An impossible number is most likely an altered byte, so let the checksum report it.
         let header = first(header_len(if known { sections } else { LEAST_SECTIONS }))?;
         if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
             != u32_at(header, CRC_AT)
@@ -180,7 +183,9 @@ impl Layout {
             reason: reason.to_owned(),
         };
         if !known {
-            return Err(malformed("it has fewer or more sections than there are"));
+            return Err(malformed(
+                "the number of sections does not fit the format version",
+            ));
         }
         let expected = u64_at(header, 16);
         if expected != actual {
@@ -190,7 +195,7 @@ impl Layout {
             (u32_at(header, 24), u32_at(header, 28), u32_at(header, 32));
         if cells == 0 || u64::from(nodes) != 2 * u64::from(cells) - 1 {
             return Err(malformed(
-                "a tree of M cells has 2M − 1 nodes, and M is at least 1",
+                "the numbers of cells M and tree nodes do not fit: M ≥ 1 cells have 2M − 1 nodes",
             ));
         }
         let mut at = header.len();
@@ -202,10 +207,13 @@ impl Layout {
             let section = Section::ALL
                 .get(number)
                 .filter(|_| number >= least && (number == i || (found > 1 && i >= LEAST_SECTIONS)));
-            let section =
-                section.ok_or_else(|| malformed("its sections are not those of its version"))?;
+            let section = section.ok_or_else(|| {
+                malformed("the sections in the table do not fit the format version")
+            })?;
             if u64_at(header, entry + 8) != at as u64 {
-                return Err(malformed("its sections do not follow one another"));
+                return Err(malformed(
+                    "a section does not start at the end of the previous section",
+                ));
             }
             let bytes = usize::try_from(u64_at(header, entry + 16))
                 .ok()
@@ -222,7 +230,7 @@ impl Layout {
             at += bytes.len();
         }
         if at != file.len() {
-            return Err(malformed("bytes follow its last section"));
+            return Err(malformed("bytes follow the last section"));
         }
         Ok(Self {
             triangles,
@@ -234,12 +242,12 @@ impl Layout {
     }
 }
 
-/// Bytes of the header with a table of `sections` sections.
+/// Returns the size of the header with a table of `sections` sections, in bytes.
 const fn header_len(sections: usize) -> usize {
     TABLE_AT + sections * 24
 }
 
-/// Number, length and checksum of a section, as the header has them.
+/// The number, length and checksum of a section, in the form in which the header stores them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Written {
     pub section: Section,
@@ -248,7 +256,8 @@ pub(crate) struct Written {
 }
 
 impl Written {
-    pub fn of(section: Section, bytes: &[u8]) -> Self {
+    /// Computes the length and checksum of the bytes of a section.
+    pub fn new(section: Section, bytes: &[u8]) -> Self {
         Self {
             section,
             length: bytes.len() as u64,
@@ -257,7 +266,7 @@ impl Written {
     }
 }
 
-/// The header of a file with these sections, in the order of [`Section::ALL`].
+/// Returns the header of a file with these sections, which must be in the order of [`Section::ALL`].
 pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written]) -> Vec<u8> {
     let file_len =
         header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
@@ -285,12 +294,12 @@ pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written
     header
 }
 
-/// The caller has checked that the four bytes are there.
+/// Returns the little-endian number at offset `at`. The caller has checked that the four bytes exist.
 pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
 }
 
-/// The caller has checked that the eight bytes are there.
+/// Returns the little-endian number at offset `at`. The caller has checked that the eight bytes exist.
 pub(crate) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
 }

@@ -1,28 +1,47 @@
 //! The `.pvs` result: the kd-tree of view cells, the compressed visibility sets and the look-up at run time.
 //!
-//! A [`Builder`] takes the tree and then the sets of the cells in order, and writes one file. A [`Pvs`] opens
-//! a file, checks every byte of it, finds the cell of a point and decodes the cell's set. This
-//! crate computes no visibility, reads no scene format and depends on no other crate of the workspace, so
-//! that an engine needs no other one.
+//! A [`Builder`] receives the tree and then the sets of the cells in order, and writes one file. A [`Pvs`]
+//! opens a file, checks every byte of it, finds the cell of a point and decodes the cell's set. This crate
+//! does not compute visibility and does not read scene formats.
 //!
-//! The file has these parts; all numbers are little-endian, and [`layout`] gives the bytes:
+//! # Modules
+//!
+//! - `builder`, `hierarchy`, `codec`, `runs`: the writer, the choice of sets at inner nodes, and the coded
+//!   sets.
+//! - `reader`, `parse`, `tree`: the reader, and the [`CellTree`] that finds the cell of a point.
+//! - `looker`, `portals`: queries from a point through portals ([`Looker`]).
+//! - `pairs`, `items`, `columns`, `contributions`, `certificates`: the optional sections.
+//! - `layout`: the header, the section table and the checksums. `docs/formats/pvs.md` defines every byte.
+//!
+//! # The file
+//!
+//! All numbers are little-endian. The file has the following parts:
 //!
 //! - a header with the sizes, the file's length and a table of the sections with a CRC-32C each;
-//! - `info` and `method`: text about the bake, opaque to this crate;
+//! - `info` and `method`: text about the bake, which this crate does not parse;
 //! - `tree`: view box and nodes in depth-first order, lower child first; the leaves in this order are the
 //!   cells;
 //! - `objects`: names and triangle ranges, which tile all triangles;
-//! - `flags`: a word for each cell;
-//! - `visible`, `undecided`: a coded set for each tree node; a cell's set is the exclusive or of the sets on
-//!   its path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` chooses the inner sets);
-//! - `columns`, optional: named statistics of the bake, one value for each cell;
-//! - `certificates`, optional: a certificate for each cell's set, opaque to this crate;
-//! - `pairs`, optional: which cells see which ([`Pvs::sees`]);
+//! - `flags`: one word per cell;
+//! - `visible`, `undecided`: one coded set per tree node; a cell's set is the exclusive or of the sets on its
+//!   path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` chooses the inner sets);
+//! - `columns`, optional: named statistics of the bake, one value per cell;
+//! - `certificates`, optional: one certificate per cell's set, which this crate does not parse;
+//! - `pairs`, optional: the relation of cells that see each other ([`Pvs::sees`]);
 //! - `items`, optional: the clusters or objects that the sets name instead of triangles ([`Granularity`]);
-//! - `contributions`, optional: how much of the view each item takes, for each cell ([`Contribution`]);
-//! - `sources`, optional: where each object is in its glTF file ([`Source`]);
-//! - `region`, optional: the region that holds all viewpoints, opaque to this crate;
+//! - `contributions`, optional: the contribution of each item to the view, per cell ([`Contribution`]);
+//! - `sources`, optional: the node, mesh and primitive of each object in its glTF file ([`Source`]);
+//! - `region`, optional: the region that contains all viewpoints, which this crate does not parse;
 //! - `portals`, optional: the scene divided along its walls ([`Portals`]), for [`Looker`].
+//!
+//! # Invariants
+//!
+//! - The crate depends on no other crate of the workspace, so that an engine needs only this crate.
+//! - [`Pvs::open`] rejects an altered or truncated file. A file with right checksums and wrong contents
+//!   returns an error and does not panic.
+//! - Threads can share a [`Pvs`], and look-ups acquire no lock.
+//!
+//! # Example
 //!
 //! ```
 //! use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
@@ -57,7 +76,7 @@ pub mod fuzzing;
 mod hierarchy;
 pub mod items;
 pub mod layout;
-pub mod look;
+pub mod looker;
 pub mod pairs;
 mod parse;
 pub mod portals;
@@ -71,41 +90,43 @@ pub use contributions::Contribution;
 pub use error::PvsError;
 pub use items::{Granularity, Items};
 pub use layout::VERSION;
-pub use look::{LookError, Looker, View, ViewError};
+pub use looker::{LookError, Looker, View, ViewError};
 pub use pairs::{CellPairs, MOST_PAIR_CELLS, Relation};
 pub use portals::{Portal, Portals};
 pub use reader::{MAPPED_FROM, NodeBytes, Pvs};
 pub use tree::{CellTree, MAX_DEPTH, Node};
 
-/// Bit 0 of a cell's flags: the cell's tile was set aside after failures, and all triangles count as visible.
+/// The flag (bit 0) of a cell whose tile was set aside after failures or has no output. The cell's set was
+/// not computed: all of its items are undecided, or the set contains all items.
 pub const SET_ASIDE: u32 = 1;
 
-/// Bit 1 of a cell's flags: no viewpoint is in the cell, so it was not sampled and its sets are empty.
+/// The flag of a cell (bit 1) without viewpoints. The cell was not sampled, and its sets are empty.
 pub const NOT_REACHED: u32 = 2;
 
 /// A named, contiguous range of triangles that an engine draws at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Object {
-    /// Its name in the scene file (glTF node and primitive, OBJ group). It may be empty and need not be
-    /// unique.
+    /// The name of the object in the scene file (glTF node and primitive, OBJ group). The name may be empty
+    /// and need not be unique.
     pub name: String,
-    /// Its first triangle.
+    /// The first triangle of the object.
     pub first: u32,
-    /// The number of its triangles; may be 0.
+    /// The number of triangles of the object; may be 0.
     pub count: u32,
-    /// Where it is in its glTF file; `None` for other files, and in results that do not say.
+    /// The indices of the object in its glTF file. `None` for other file formats, and for results without
+    /// this section.
     pub source: Option<Source>,
 }
 
-/// The place of an object in its glTF file, as indices of the file's arrays.
+/// The source of an object: indices in the arrays of its glTF file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source {
-    /// Of the node.
+    /// The index of the node.
     pub node: u32,
-    /// Of the mesh.
+    /// The index of the mesh.
     pub mesh: u32,
-    /// Of the primitive in its mesh.
+    /// The index of the primitive in its mesh.
     pub primitive: u32,
-    /// Of the instance, for a node with `EXT_mesh_gpu_instancing`.
+    /// The index of the instance, for a node with `EXT_mesh_gpu_instancing`.
     pub instance: Option<u32>,
 }

@@ -1,20 +1,21 @@
-//! Which cells see which: two symmetric relations over the cells, and their bytes.
+//! Cell-to-cell visibility: two symmetric relations over the cells, and their bytes.
 //!
-//! Cell a sees cell b when a point of a and a point of b are the ends of a segment that nothing blocks. Every
-//! cell sees itself. The section has the coded rows of the relation *visible* and then, when some pair is
-//! undecided, those of the relation *undecided*. Row i holds the cells from i on, because the relation is
-//! symmetric, as the exclusive or with row i − 1: neighbouring cells see about the same cells. Each row is a
-//! LEB128 number, the length in bytes, and a coded set (module `codec`).
+//! Cell a sees cell b if an unobstructed segment connects a point of a with a point of b. Every cell sees
+//! itself. The section contains the coded rows of the relation *visible*. If some pair is undecided, the rows
+//! of the relation *undecided* follow. Row i contains only the cells from i on, because the relation is
+//! symmetric. Each row is stored as the exclusive or with row i − 1, because neighbouring cells see nearly
+//! the same cells. The form of a row is a LEB128 number, which is the length in bytes, and a coded set
+//! (module `codec`).
 
 use crate::codec::{self, read_varint, varint};
 use crate::error::PvsError;
 use crate::layout::Section;
 use crate::runs;
 
-/// Most cells of a file that says which cells see which: its table takes cells² / 8 bytes of memory.
+/// The maximum number of cells of a file with cell-to-cell relations. A table has cells² / 8 bytes in memory.
 pub const MOST_PAIR_CELLS: u32 = 1 << 15;
 
-/// A symmetric relation over cells: one bit for each ordered pair.
+/// A symmetric relation over cells: one bit per ordered pair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Relation {
     cells: u32,
@@ -23,10 +24,11 @@ pub struct Relation {
 }
 
 impl Relation {
-    /// The relation without any pair.
+    /// Creates a relation without any pair.
     ///
     /// # Errors
-    /// [`PvsError::TooLarge`] for more than [`MOST_PAIR_CELLS`] cells, [`PvsError::Memory`].
+    /// [`PvsError::TooLarge`] if `cells` exceeds [`MOST_PAIR_CELLS`]. [`PvsError::Memory`] if memory is
+    /// insufficient.
     pub fn empty(cells: u32) -> Result<Self, PvsError> {
         if cells > MOST_PAIR_CELLS {
             let (value, limit) = (u64::from(cells), u64::from(MOST_PAIR_CELLS));
@@ -45,29 +47,29 @@ impl Relation {
         Ok(Self { cells, words, rows })
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn cells(&self) -> u32 {
         self.cells
     }
 
-    /// Adds the pair of two cells; both must be below [`Self::cells`].
+    /// Adds the pair of two cells. Both must be below [`Self::cells`].
     pub fn insert(&mut self, a: u32, b: u32) {
         for (a, b) in [(a, b), (b, a)] {
             self.rows[a as usize * self.words + b as usize / 64] |= 1 << (b % 64);
         }
     }
 
-    /// Whether two cells are a pair; both must be below [`Self::cells`].
+    /// Returns true if two cells are a pair. Both must be below [`Self::cells`].
     pub fn has(&self, a: u32, b: u32) -> bool {
         self.row(a)[b as usize / 64] >> (b % 64) & 1 == 1
     }
 
-    /// The cells that are a pair with `cell`: bit `b % 64` of word `b / 64`.
+    /// Returns the cells that form a pair with `cell`, as bits. Cell `b` is bit `b % 64` of word `b / 64`.
     pub fn row(&self, cell: u32) -> &[u64] {
         &self.rows[cell as usize * self.words..][..self.words]
     }
 
-    /// Whether `cell` is a pair with any of the cells from `first` up to but not including `end`.
+    /// Returns true if `cell` forms a pair with a cell from `first` to before `end`.
     pub(crate) fn has_any(&self, cell: u32, first: u32, end: u32) -> bool {
         let row = self.row(cell);
         let (from, to) = (
@@ -86,7 +88,7 @@ impl Relation {
         })
     }
 
-    /// The cells that are a pair with `cell`, ascending.
+    /// Returns the cells that form a pair with `cell`, ascending.
     pub fn partners(&self, cell: u32) -> impl Iterator<Item = u32> + '_ {
         self.row(cell).iter().enumerate().flat_map(|(w, bits)| {
             let mut rest = *bits;
@@ -98,7 +100,7 @@ impl Relation {
         })
     }
 
-    /// Number of unordered pairs, those of a cell with itself included.
+    /// Returns the number of unordered pairs, including the pairs of a cell with itself.
     pub fn pairs(&self) -> u64 {
         let all: u64 = self.rows.iter().map(|w| u64::from(w.count_ones())).sum();
         let own = (0..self.cells).filter(|c| self.has(*c, *c)).count() as u64;
@@ -112,7 +114,7 @@ impl Relation {
         for cell in 0..self.cells {
             let later: Vec<u32> = self.partners(cell).filter(|b| *b >= cell).collect();
             let row = runs::from_ids(&later);
-            // The row above without the cell that this row does not have.
+            // Remove the previous cell from the row above, because this row does not contain it.
             let [above_here] = runs::sweep([&above, &[cell, u32::MAX]], |m| u32::from(m == 3));
             let [change] = runs::sweep([&row, &above_here], |m| u32::from(m == 1 || m == 2));
             coded.clear();
@@ -123,27 +125,29 @@ impl Relation {
         }
     }
 
-    /// Reads a relation over `cells` cells from the front of `bytes`.
+    /// Decodes a relation over `cells` cells from the front of `bytes`.
     pub(crate) fn decode(bytes: &mut &[u8], cells: u32) -> Result<Self, PvsError> {
         let bad = |reason: &str| Section::CellPairs.malformed(reason);
-        // A row has at least a byte, so the file bounds the memory by its square.
+        // A row has at least one byte, so the length of the file bounds the memory by its square.
         if bytes.len() < cells as usize {
-            return Err(bad("it has fewer bytes than rows"));
+            return Err(bad("the section has fewer bytes than rows"));
         }
         let mut relation = Self::empty(cells)?;
         let mut above: Vec<u32> = Vec::new();
         for cell in 0..cells {
-            let (length, rest) = read_varint(bytes).ok_or_else(|| bad("it is cut short"))?;
+            let (length, rest) =
+                read_varint(bytes).ok_or_else(|| bad("the section is cut short"))?;
             let row = usize::try_from(length)
                 .ok()
                 .and_then(|n| rest.split_at_checked(n));
-            let (row, rest) = row.ok_or_else(|| bad("a row reaches beyond its end"))?;
+            let (row, rest) =
+                row.ok_or_else(|| bad("a row reaches beyond the end of the section"))?;
             *bytes = rest;
             let mut change = Vec::new();
             codec::decode(row, cells, |start, end| change.extend([start, end]))
                 .map_err(|e| bad(&format!("row {cell}: {}", e.0)))?;
             if change.first().is_some_and(|first| *first < cell) {
-                return Err(bad("a row names a cell before its own"));
+                return Err(bad("a row contains a cell before the row's own cell"));
             }
             let [above_here] = runs::sweep([&above, &[cell, u32::MAX]], |m| u32::from(m == 3));
             [above] = runs::sweep([&change, &above_here], |m| u32::from(m == 1 || m == 2));
@@ -156,12 +160,12 @@ impl Relation {
     }
 }
 
-/// The two relations of a result.
+/// The two cell-to-cell relations of a result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CellPairs {
-    /// The cells that see each other, the undecided pairs included.
+    /// The cells that see each other, including the undecided pairs.
     pub visible: Relation,
-    /// The pairs of `visible` that were neither seen nor proved hidden; `None` when there are none.
+    /// The pairs of `visible` that were neither seen nor proved hidden; `None` without such pairs.
     pub undecided: Option<Relation>,
 }
 
@@ -183,19 +187,19 @@ impl CellPairs {
             _ => Some(Relation::decode(&mut bytes, cells)?),
         };
         if !bytes.is_empty() {
-            return Err(bad("bytes follow its last row"));
+            return Err(bad("bytes follow the last row"));
         }
         let pairs = Self { visible, undecided };
         pairs.check(cells)?;
         Ok(pairs)
     }
 
-    /// Whether both relations are over `cells` cells, and every undecided pair is also visible.
+    /// Checks that both relations have `cells` cells, and that every undecided pair is also visible.
     pub(crate) fn check(&self, cells: u32) -> Result<(), PvsError> {
         let bad = |reason: &str| Err(Section::CellPairs.malformed(reason));
         let Self { visible, undecided } = self;
         if visible.cells != cells || undecided.as_ref().is_some_and(|u| u.cells != cells) {
-            return bad("it is over another number of cells");
+            return bad("a relation and the tree have different numbers of cells");
         }
         if undecided
             .as_ref()
@@ -222,7 +226,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn relations_come_back_and_damage_never_panics(
+        fn relations_round_trip_and_damage_never_panics(
             cells in 1u32..200,
             pairs in proptest::collection::vec((any::<u32>(), any::<u32>()), 0..300),
             open in 0usize..4,
@@ -249,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_cells_are_refused_before_memory_is_taken() {
+    fn rejects_too_many_cells_before_allocation() {
         assert!(matches!(
             Relation::empty(MOST_PAIR_CELLS + 1),
             Err(PvsError::TooLarge { .. })

@@ -1,16 +1,18 @@
-//! The scene divided along its walls, as a section of the file: for look-ups from a point at run time.
+//! The scene divided along its walls, as a section of the file, for point queries at run time.
 //!
-//! The bytes of the section, in this order; counts come before what they count:
+//! The section contains the following fields in this order. A count precedes the elements that it counts:
 //!
-//! - greatest magnitude of a coordinate as f64: the doubles below are rounded at this size;
-//! - planes: count as u32; for each its unit normal and level as four f64, n·x = level;
-//! - nodes of the tree: count as u32; for each its plane and its children below and above it as three u32. A
-//!   child is the number of a later node, or [`LEAF`] + the number of a leaf, or [`NONE`] for space where no
-//!   line can be. Without nodes, leaf 0 is all of space;
-//! - doors: count as u32; for each the length of its name as u32, and the name in UTF-8, in ascending order;
+//! - the largest magnitude of a coordinate as f64: the rounding error of the doubles below is proportional to
+//!   this size;
+//! - planes: count as u32; for each plane its unit normal and level as four f64, n·x = level;
+//! - nodes of the tree: count as u32; for each node its plane and its children below and above it as three
+//!   u32. A child is the number of a later node, or [`LEAF`] + the number of a leaf, or [`NONE`] for space
+//!   that no line can reach. Without nodes, leaf 0 is all of space;
+//! - doors: count as u32; for each door the length of its name as u32, and the name in UTF-8, in ascending
+//!   order;
 //! - leaves: count as u32;
-//! - portals: count as u32; for each the leaf below and above its plane, its plane, its door or [`NONE`],
-//!   and the number of its corners, as five u32;
+//! - portals: count as u32; for each portal the leaves below and above its plane, its plane, its door or
+//!   [`NONE`], and the number of its corners, as five u32;
 //! - the corners of all portals, each as three f64;
 //! - for each leaf the number of its triangles as u32; then the ids of all leaves' triangles as u32,
 //!   ascending in each leaf.
@@ -18,45 +20,46 @@
 use crate::error::PvsError;
 use crate::layout::Section;
 
-/// No child, no door.
+/// The value of a missing child or door.
 pub const NONE: u32 = u32::MAX;
-/// A child that is a leaf.
+/// The bit that marks a child as a leaf.
 pub const LEAF: u32 = 1 << 31;
-/// Most corners of a portal.
+/// The maximum number of corners of a portal.
 pub const MOST_CORNERS: usize = 64;
 
 /// An opening between two leaves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Portal {
-    /// The leaves below and above its plane.
+    /// The indices of the leaves below and above the plane of the portal.
     pub leaves: [u32; 2],
-    /// Its plane.
+    /// The index of the plane that contains the portal.
     pub plane: u32,
-    /// The door that can shut it, or [`NONE`].
+    /// The index of the door that can shut the portal, or [`NONE`].
     pub door: u32,
-    /// Its corners in order.
+    /// The corners of the portal, in order.
     pub corners: Vec<[f64; 3]>,
 }
 
 /// A scene divided along its walls.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Portals {
-    /// The greatest magnitude of a coordinate.
+    /// The largest magnitude of a coordinate of the scene, in world units.
     pub size: f64,
-    /// Unit normals with levels.
+    /// The unit normal and the level of each plane.
     pub planes: Vec<[f64; 4]>,
-    /// For each node its plane and its children.
+    /// For each node: the index of its plane, its lower child and its upper child, in the form that the
+    /// module describes.
     pub nodes: Vec<[u32; 3]>,
     /// The names of the doors, ascending.
     pub doors: Vec<String>,
     /// The portals.
     pub portals: Vec<Portal>,
-    /// For each leaf the triangles of which parts are in it, ascending.
+    /// For each leaf: the triangles with parts in it, ascending.
     pub leaves: Vec<Vec<u32>>,
 }
 
 impl Portals {
-    /// All of space as one leaf with all triangles.
+    /// Creates a division of all space into one leaf with all triangles.
     pub fn undivided(triangles: u32) -> Self {
         Self {
             size: 1.0,
@@ -65,12 +68,13 @@ impl Portals {
         }
     }
 
-    /// The section.
+    /// Returns the bytes of the section.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
         let count = |out: &mut Vec<u8>, n: usize| out.extend((n as u32).to_le_bytes());
-        let floats =
-            |out: &mut Vec<u8>, of: &[f64]| of.iter().for_each(|x| out.extend(x.to_le_bytes()));
+        let floats = |out: &mut Vec<u8>, numbers: &[f64]| {
+            numbers.iter().for_each(|x| out.extend(x.to_le_bytes()))
+        };
         floats(&mut out, &[self.size]);
         count(&mut out, self.planes.len());
         self.planes.iter().for_each(|plane| floats(&mut out, plane));
@@ -112,10 +116,10 @@ impl Portals {
         out
     }
 
-    /// Reads a section for a scene of some triangles.
+    /// Decodes the section of a scene with `triangles` triangles.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] saying what is wrong.
+    /// [`PvsError::Malformed`] if the section is not valid. The error names the fault.
     pub fn decode(bytes: &[u8], triangles: u32) -> Result<Self, PvsError> {
         let bad = |reason: &str| Section::Portals.malformed(reason);
         let mut r = Reader { bytes };
@@ -129,7 +133,9 @@ impl Portals {
             (length - 1.0).abs() < 1e-6 && p[3].is_finite()
         };
         if !is_size || !planes.iter().all(is_unit) {
-            return Err(bad("its size or a plane is not finite"));
+            return Err(bad(
+                "the size is not positive and finite, or the normal of a plane is not of length 1",
+            ));
         }
         let nodes: Vec<[u32; 3]> = (0..r.count(12)?)
             .map(|_| r.numbers::<3>())
@@ -138,13 +144,13 @@ impl Portals {
         for _ in 0..r.count(4)? {
             let length = r.number()? as usize;
             let name = std::str::from_utf8(r.take(length)?)
-                .map_err(|_| bad("a door's name is no UTF-8"))?;
+                .map_err(|_| bad("the name of a door is not UTF-8"))?;
             doors.push(name.to_owned());
         }
         if doors.windows(2).any(|w| w[0] >= w[1]) {
-            return Err(bad("its doors are not in order"));
+            return Err(bad("the names of the doors do not ascend"));
         }
-        // Each leaf has at least the number of its triangles.
+        // Each leaf has at least four bytes: the number of its triangles.
         let leaf_count = r.count(4)?;
         let is_leaf = |n: u32| (n as usize) < leaf_count;
         let is_child = |node: usize, child: u32| {
@@ -158,7 +164,7 @@ impl Portals {
         let fits = |(at, [plane, below, above]): (usize, &[u32; 3])| {
             (*plane as usize) < planes.len() && is_child(at, *below) && is_child(at, *above)
         };
-        // A tree: no node or leaf is the child of two nodes.
+        // The nodes form a tree: no node or leaf is the child of two nodes.
         let mut named = vec![false; nodes.len() + leaf_count];
         let is_new = |child: &u32| {
             let place = match *child {
@@ -174,7 +180,9 @@ impl Portals {
             return Err(bad("a node or leaf has two parents"));
         }
         if leaf_count == 0 || leaf_count >= LEAF as usize || !nodes.iter().enumerate().all(fits) {
-            return Err(bad("a node names a plane, node or leaf that there is not"));
+            return Err(bad(
+                "a node refers to a plane, node or leaf that does not exist",
+            ));
         }
         let heads = (0..r.count(20)?)
             .map(|_| r.numbers::<5>())
@@ -188,7 +196,7 @@ impl Portals {
                 && (3..=MOST_CORNERS).contains(&(corners as usize));
             if !is_there {
                 return Err(bad(
-                    "a portal names a leaf, plane or door that there is not",
+                    "a portal has an invalid leaf, plane, door or number of corners",
                 ));
             }
             let corners = (0..corners)
@@ -199,7 +207,9 @@ impl Portals {
                 .flatten()
                 .any(|x| !x.is_finite() || x.abs() > 2.0 * size)
             {
-                return Err(bad("a corner is outside of the scene"));
+                return Err(bad(
+                    "a coordinate of a portal's corner exceeds twice the size",
+                ));
             }
             portals.push(Portal {
                 leaves: [below, above],
@@ -220,7 +230,9 @@ impl Portals {
                 .collect();
             if ids.windows(2).any(|w| w[0] >= w[1]) || ids.last().is_some_and(|id| *id >= triangles)
             {
-                return Err(bad("the triangles of a leaf do not ascend, or reach N"));
+                return Err(bad(
+                    "the triangle ids of a leaf do not ascend or are too large",
+                ));
             }
             leaves.push(ids);
         }
@@ -234,7 +246,7 @@ impl Portals {
                 leaves,
             })
         } else {
-            Err(bad("bytes follow its end"))
+            Err(bad("bytes follow the last leaf"))
         }
     }
 }
@@ -245,7 +257,7 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn take(&mut self, length: usize) -> Result<&'a [u8], PvsError> {
-        let cut = || Section::Portals.malformed("it is cut short");
+        let cut = || Section::Portals.malformed("the section is cut short");
         let (taken, rest) = self.bytes.split_at_checked(length).ok_or_else(cut)?;
         self.bytes = rest;
         Ok(taken)
@@ -273,11 +285,11 @@ impl<'a> Reader<'a> {
         }))
     }
 
-    /// A count of things of at least `least` bytes each.
+    /// Reads the count of elements that have at least `least` bytes each.
     fn count(&mut self, least: usize) -> Result<usize, PvsError> {
         let count = self.number()? as usize;
         if count.saturating_mul(least) > self.bytes.len() {
-            return Err(Section::Portals.malformed("a count does not fit its length"));
+            return Err(Section::Portals.malformed("a count exceeds the remaining bytes"));
         }
         Ok(count)
     }

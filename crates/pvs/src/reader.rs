@@ -1,8 +1,7 @@
-//! Reading a result at run time: opening and checking the file, and its contents other than the sets.
+//! Reader of results at run time: opens and checks a file, and returns its contents other than the sets.
 //!
-//! The whole file is checked once, on opening. Functions that decode sets check what they read all the same,
-//! so that a file that was tampered with (wrong contents under right checksums) gives an error and never a
-//! panic.
+//! [`Pvs::open`] checks the whole file once. Functions that decode sets check their input again. So a file
+//! that was tampered with (wrong contents under right checksums) gives an error and never a panic.
 
 mod cells;
 mod sets;
@@ -24,23 +23,23 @@ use crate::{columns, contributions};
 
 pub use sets::NodeBytes;
 
-/// An opened result. Threads can share it; look-ups take no lock.
+/// An opened result. Threads can share a `Pvs`, and look-ups acquire no lock.
 pub struct Pvs {
     bytes: Bytes,
     layout: Layout,
     tree: CellTree,
     objects: Vec<Object>,
     items: ItemTable,
-    /// Decoded when they are first asked for.
+    /// The relations, which are decoded at their first use.
     pairs: OnceLock<Option<CellPairs>>,
     portals: OnceLock<Option<Portals>>,
 }
 
-/// Size in bytes from which [`Pvs::open`] maps a file instead of reading it: 256 MiB.
+/// The size in bytes from which [`Pvs::open`] maps a file instead of reading it: 256 MiB.
 pub const MAPPED_FROM: u64 = 256 << 20;
 
-/// Reads a file that had `length` bytes when it was opened. A file that is cut while it is read gives fewer
-/// bytes, which the header's length shows.
+/// Reads a file that had `length` bytes when it was opened. If the file is truncated during the read, the
+/// result has fewer bytes, and the later check against the header's length fails.
 fn read(file: File, length: u64) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let room = usize::try_from(length).map_err(|_| std::io::ErrorKind::OutOfMemory)?;
@@ -76,21 +75,21 @@ impl std::fmt::Debug for Pvs {
 }
 
 impl Pvs {
-    /// Opens a file and checks all of it. Below [`MAPPED_FROM`] bytes the file is read into memory, and later
-    /// changes of the file do not matter.
+    /// Opens a file and checks all of it. A file below [`MAPPED_FROM`] bytes is read into memory, and later
+    /// changes of the file have no effect.
     ///
     /// A larger file is mapped: the operating system loads its pages as they are used, and can drop them. A
-    /// mapped file must not be changed in place while it is open. If another program cuts it, the operating
-    /// system ends this process with SIGBUS (on Windows it does not let the other program do that). Replace
-    /// a result by writing another file and renaming it, as all commands of Sightline do.
+    /// mapped file must not be changed in place while it is open. If another program truncates the file, the
+    /// operating system ends this process with SIGBUS (Windows does not let the other program truncate the
+    /// file). To replace a result, write another file and rename it, as all commands of Sightline do.
     ///
     /// # Errors
-    /// [`PvsError::Open`] when it cannot be read, otherwise as [`Self::from_bytes`].
+    /// [`PvsError::Open`] if the file cannot be read, and the errors of [`Self::from_bytes`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PvsError> {
         Self::open_mapping_from(path.as_ref(), MAPPED_FROM)
     }
 
-    /// [`Self::open`] with another size from which files are mapped.
+    /// Opens a file like [`Self::open`], but maps files from `mapped_from` bytes on.
     fn open_mapping_from(path: &Path, mapped_from: u64) -> Result<Self, PvsError> {
         let failed = |source| PvsError::Open {
             path: path.to_owned(),
@@ -106,8 +105,8 @@ impl Pvs {
         }
         #[allow(unsafe_code, reason = "mapping a file is unsafe")]
         // SAFETY: the map is read-only and used as bytes, for which any contents are valid. Another process
-        // must not change or truncate the file while it is open, which the documentation above forbids;
-        // decoded numbers are checked before they are used as lengths or indices.
+        // must not change or truncate the file while it is open, which the documentation of `open` forbids.
+        // Decoded numbers are checked before they are used as lengths or indices.
         let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
         Self::check(Bytes::Mapped(map))
     }
@@ -115,9 +114,9 @@ impl Pvs {
     /// Checks a whole file that is in memory.
     ///
     /// # Errors
-    /// [`PvsError::NotPvs`], [`PvsError::Version`], [`PvsError::Length`] and [`PvsError::Checksum`] when the
-    /// bytes are not a whole, unaltered file of this version; [`PvsError::Malformed`], [`PvsError::Tree`] and
-    /// [`PvsError::Objects`] when the contents contradict each other.
+    /// [`PvsError::NotPvs`], [`PvsError::Version`], [`PvsError::Length`] and [`PvsError::Checksum`] if the
+    /// bytes are not a whole, unaltered file of a known version. [`PvsError::Malformed`], [`PvsError::Tree`]
+    /// and [`PvsError::Objects`] if the contents contradict each other.
     pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, PvsError> {
         Self::check(Bytes::Owned(bytes.into()))
     }
@@ -131,9 +130,7 @@ impl Pvs {
         }
         let tree = read_tree(part(Section::Tree), layout.nodes)?;
         if tree.cells() != layout.cells {
-            return Err(
-                Section::Tree.malformed("it does not have as many cells as the header says")
-            );
+            return Err(Section::Tree.malformed("the number of cells differs from the header's"));
         }
         let mut objects = read_objects(part(Section::Objects))?;
         check_tiling(layout.triangles, objects.iter().map(|o| (o.first, o.count)))?;
@@ -145,7 +142,9 @@ impl Pvs {
             false => ItemTable::Triangles,
         };
         if part(Section::Flags).len() as u64 != u64::from(layout.cells) * 4 {
-            return Err(Section::Flags.malformed("it does not have one word a cell"));
+            return Err(
+                Section::Flags.malformed("the number of flags differs from the number of cells")
+            );
         }
         check_offsets(Section::Visible, part(Section::Visible), layout.nodes)?;
         if !part(Section::Undecided).is_empty() {
@@ -158,7 +157,7 @@ impl Pvs {
                 layout.cells,
             )?;
         }
-        // The section is empty only where certificates follow.
+        // The section of columns is empty only if certificates follow.
         if layout.has(Section::Columns)
             && !(part(Section::Columns).is_empty() && layout.has(Section::Certificates))
         {
@@ -182,30 +181,30 @@ impl Pvs {
         })
     }
 
-    /// The region that holds all viewpoints, in bytes that this crate does not read; `None` when viewpoints
-    /// are not restricted to one.
+    /// Returns the region that contains all viewpoints, as bytes that this crate does not parse. Returns
+    /// `None` if viewpoints are not restricted to a region.
     pub fn region(&self) -> Option<&[u8]> {
         self.layout
             .has(Section::Region)
             .then(|| self.part(Section::Region))
     }
 
-    /// The scene divided along its walls; `None` in a result that does not say.
+    /// Returns the scene divided along its walls, or `None` if the result has no portals.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] for a file that was tampered with.
+    /// [`PvsError::Malformed`] if the portals are malformed although the checksums match.
     pub fn portals(&self) -> Result<Option<&Portals>, PvsError> {
         if self.portals.get().is_none() {
             let is_there = self.layout.has(Section::Portals);
             let decoded = is_there
                 .then(|| Portals::decode(self.part(Section::Portals), self.layout.triangles));
-            // Another thread may have been first, with the same.
+            // Another thread may have set the same value first.
             let _ = self.portals.set(decoded.transpose()?);
         }
         Ok(self.portals.get().and_then(Option::as_ref))
     }
 
-    /// The whole file.
+    /// Returns the bytes of the whole file.
     pub fn bytes(&self) -> &[u8] {
         self.bytes.get()
     }
@@ -214,8 +213,8 @@ impl Pvs {
         &self.bytes.get()[self.layout.range(section)]
     }
 
-    /// The bytes of a file with some sections of this one: with those that every file has, and the wanted of
-    /// the optional ones that are here.
+    /// Returns the bytes of a file with some sections of this file. These are the sections that every file
+    /// has, and the optional sections of this file that are in `wanted`.
     pub fn with_sections(&self, wanted: &[Section]) -> Vec<u8> {
         let is_kept = |section: &Section| {
             (*section as usize) < LEAST_SECTIONS
@@ -224,7 +223,7 @@ impl Pvs {
         let kept: Vec<Section> = Section::ALL.into_iter().filter(is_kept).collect();
         let written: Vec<Written> = kept
             .iter()
-            .map(|s| Written::of(*s, self.part(*s)))
+            .map(|s| Written::new(*s, self.part(*s)))
             .collect();
         let mut out = header(
             self.layout.triangles,
@@ -238,102 +237,104 @@ impl Pvs {
     }
 
     fn text(&self, section: Section) -> &str {
-        // Checked on opening. If the file was changed since then, the text reads as empty.
+        // Opening has checked the text. If the file was changed since then, the text reads as empty.
         std::str::from_utf8(self.part(section)).unwrap_or_default()
     }
 
-    /// The number of triangles of the scene, N.
+    /// Returns the number of triangles of the scene, N.
     pub fn triangle_count(&self) -> u32 {
         self.layout.triangles
     }
 
-    /// The number of view cells, M.
+    /// Returns the number of view cells, M.
     pub fn cells(&self) -> u32 {
         self.layout.cells
     }
 
-    /// The tree of the view cells.
+    /// Returns the tree of the view cells.
     pub fn tree(&self) -> &CellTree {
         &self.tree
     }
 
-    /// The JSON text that was given to the builder: parameters and counters of the bake.
+    /// Returns the JSON text that the builder received: parameters and counters of the bake.
     pub fn info_json(&self) -> &str {
         self.text(Section::Info)
     }
 
-    /// How the sets were made: "aggressive", "exact", "verified" or "portals".
+    /// Returns the name of the method that computed the sets: "aggressive", "exact", "verified" or "portals".
     pub fn method(&self) -> &str {
         self.text(Section::Method)
     }
 
-    /// The objects of the scene, tiling its triangles.
+    /// Returns the objects of the scene, which tile its triangles.
     pub fn objects(&self) -> &[Object] {
         &self.objects
     }
 
-    /// The cell of a point in world space. [`CellTree::find_cell`] says where points on planes and borders
-    /// belong.
+    /// Returns the index of the cell that contains a point in world space, or `None` outside the view box.
+    /// [`CellTree::find_cell`] documents the treatment of points on planes and borders.
     pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
         self.tree.find_cell(point)
     }
 
-    /// [`Self::find_cell`] for a point in doubles.
+    /// Returns the cell of a point like [`Self::find_cell`], for coordinates in doubles.
     pub fn find_cell_precisely(&self, point: [f64; 3]) -> Option<u32> {
         self.tree.find_cell_precisely(point)
     }
 
-    /// The box of a cell: min and max in world space. `None` when there is no such cell.
+    /// Returns the box of a cell in world space (min, max), or `None` if the cell does not exist.
     pub fn cell_bounds(&self, cell: u32) -> Option<[[f32; 3]; 2]> {
         self.tree.cell_bounds(cell)
     }
 
-    /// A cell's flags.
+    /// Returns the flags of a cell: [`SET_ASIDE`] and [`NOT_REACHED`].
     ///
     /// # Errors
-    /// [`PvsError::NoCell`].
+    /// [`PvsError::NoCell`] if the cell does not exist.
     pub fn flags(&self, cell: u32) -> Result<u32, PvsError> {
         self.leaf(cell)?;
         Ok(u32_at(self.part(Section::Flags), cell as usize * 4))
     }
 
-    /// Whether the cell's tile was set aside, so that all triangles count as visible.
+    /// Returns true if the cell's tile was set aside or has no output, so that the cell's set was not
+    /// computed ([`SET_ASIDE`]).
     ///
     /// # Errors
-    /// [`PvsError::NoCell`].
+    /// [`PvsError::NoCell`] if the cell does not exist.
     pub fn is_set_aside(&self, cell: u32) -> Result<bool, PvsError> {
         Ok(self.flags(cell)? & SET_ASIDE != 0)
     }
 
-    /// Whether a viewpoint can be in the cell. A cell where none can be was not sampled, and its sets are
-    /// empty.
+    /// Returns true if viewpoints can be in the cell. A cell without viewpoints was not sampled, and its sets
+    /// are empty.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`].
+    /// [`PvsError::NoCell`] if the cell does not exist.
     pub fn is_reached(&self, cell: u32) -> Result<bool, PvsError> {
         Ok(self.flags(cell)? & NOT_REACHED == 0)
     }
 
-    /// What the sets of the result name.
+    /// Returns the type of items that the sets of the result name.
     pub fn granularity(&self) -> Granularity {
         self.items.granularity()
     }
 
-    /// The number of items that the sets name, K.
+    /// Returns the number of items that the sets name, K.
     pub fn item_count(&self) -> u32 {
         self.items.count(self.layout.triangles, &self.objects)
     }
 
-    /// Whether the file says how much of the view each item takes.
+    /// Returns true if the file contains the contribution of each item to the view.
     pub fn has_contributions(&self) -> bool {
         self.layout.has(Section::Contributions)
     }
 
-    /// How much of the view each item visible from a cell takes, in the order of [`Self::visible_items`];
-    /// `None` when the file does not say.
+    /// Returns the contribution of each item visible from a cell, in the order of [`Self::visible_items`].
+    /// Returns `None` if the file has no contributions.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] when a cell does not have as many as visible items.
+    /// [`PvsError::NoCell`] if the cell does not exist. [`PvsError::Malformed`] if the numbers of
+    /// contributions and of visible items of the cell differ.
     pub fn contributions(&self, cell: u32) -> Result<Option<Vec<Contribution>>, PvsError> {
         self.leaf(cell)?;
         if !self.has_contributions() {
@@ -342,21 +343,20 @@ impl Pvs {
         let bytes =
             contributions::of_cell(self.part(Section::Contributions), cell, self.layout.cells)?;
         if self.visible_item_count(cell)? != bytes.len() {
-            return Err(
-                Section::Contributions.malformed("a cell has more or fewer than visible items")
-            );
+            return Err(Section::Contributions
+                .malformed("the numbers of a cell's values and of its visible items differ"));
         }
         Ok(Some(
             bytes.iter().map(|b| Contribution::from_byte(*b)).collect(),
         ))
     }
 
-    /// The statistics of the bake, one value for each cell, in the order they were given to the builder;
-    /// empty when the file has none. They are decoded on every call: tools read them, and an engine does not
-    /// have to keep them in memory.
+    /// Returns the statistics of the bake, one value per cell, in the order in which the builder received
+    /// them. Returns no columns if the file has none. Every call decodes the columns, because only tools read
+    /// them, and an engine does not need them in memory.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] for a file that was changed after opening.
+    /// [`PvsError::Malformed`] if the file was changed after opening.
     pub fn columns(&self) -> Result<Vec<Column>, PvsError> {
         if self.part(Section::Columns).is_empty() {
             return Ok(Vec::new());
@@ -364,10 +364,12 @@ impl Pvs {
         columns::decode(self.part(Section::Columns), self.layout.cells)
     }
 
-    /// The bytes of a cell's certificate, opaque to this crate; `None` when the file has no certificates.
+    /// Returns the bytes of a cell's certificate, or `None` if the file has no certificates. This crate does
+    /// not parse the bytes.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] for a file that was changed after opening.
+    /// [`PvsError::NoCell`] if the cell does not exist. [`PvsError::Malformed`] if the file was changed after
+    /// opening.
     pub fn certificate(&self, cell: u32) -> Result<Option<&[u8]>, PvsError> {
         self.leaf(cell)?;
         if !self.layout.has(Section::Certificates) {
@@ -380,9 +382,10 @@ impl Pvs {
             .checked_add(from)
             .zip(head.checked_add(to))
             .and_then(|(a, b)| section.get(a..b));
-        bytes
-            .map(Some)
-            .ok_or_else(|| Section::Certificates.malformed("a cell's part is beyond its end"))
+        bytes.map(Some).ok_or_else(|| {
+            Section::Certificates
+                .malformed("the certificate of a cell reaches beyond the end of the section")
+        })
     }
 
     fn leaf(&self, cell: u32) -> Result<u32, PvsError> {

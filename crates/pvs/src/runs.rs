@@ -1,11 +1,11 @@
-//! Sets of triangle ids as sorted lists of boundaries: start, end, start, end, … of maximal runs, ends
-//! exclusive.
+//! Sets of triangle ids as sorted lists of boundaries: start, end, start, end, … of maximal runs, with
+//! exclusive ends.
 //!
 //! Triangles with close ids tend to be visible together (Nirenstein 2003, appendix B.2), so sets have few
-//! runs. Set operations take time linear in the runs, and the exclusive or of sets is the exclusive or of
-//! their boundaries.
+//! runs. The time of set operations is linear in the number of runs. The exclusive or of sets is the
+//! exclusive or of their boundaries.
 
-/// The boundaries of ascending ids.
+/// Returns the boundaries of the runs of ascending ids.
 pub fn from_ids(ids: &[u32]) -> Vec<u32> {
     let mut bounds: Vec<u32> = Vec::new();
     for &id in ids {
@@ -17,16 +17,16 @@ pub fn from_ids(ids: &[u32]) -> Vec<u32> {
     bounds
 }
 
-/// Boolean combinations of up to 32 sets in one sweep over their boundaries. Between two boundaries all ids
-/// are in the same inputs: bit i of the argument of `f` is set when they are in input i, and bit o of its
-/// result puts them into output o. `f(0)` must be 0.
+/// Computes Boolean combinations of up to 32 sets in one sweep over their boundaries. Between two boundaries,
+/// all ids are in the same inputs. Bit i of the argument of `f` is set if the ids are in input i. Bit o of
+/// the result of `f` adds the ids to output o. `f(0)` must be 0.
 pub fn sweep<const I: usize, const O: usize>(
     inputs: [&[u32]; I],
     f: impl Fn(u32) -> u32,
 ) -> [Vec<u32>; O] {
     let mut outputs = [const { Vec::new() }; O];
     let mut next = [0usize; I];
-    // The next boundary of each input; at the end of an input, a value above all boundaries.
+    // The next boundary of each input, or at the end of an input a value above all boundaries.
     let head = |i: usize, next: usize| inputs[i].get(next).map_or(u64::MAX, |at| u64::from(*at));
     let mut heads: [u64; I] = std::array::from_fn(|i| head(i, 0));
     let (mut inside, mut given) = (0u32, 0u32);
@@ -64,13 +64,13 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_join_into_runs() {
+    fn adjacent_ids_join_into_runs() {
         assert_eq!(from_ids(&[]), [0u32; 0]);
         assert_eq!(from_ids(&[0, 1, 2, 5, 7, 8]), [0, 3, 5, 6, 7, 9]);
     }
 
     #[test]
-    fn the_largest_boundary_is_kept() {
+    fn sweep_keeps_largest_boundary() {
         let [both] = sweep([&[1, u32::MAX], &[5, 9, 20, u32::MAX]], |m| {
             u32::from(m == 3)
         });
@@ -79,7 +79,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_sweep_is_the_boolean_function_of_its_sets(
+        fn sweep_computes_boolean_function_of_sets(
             a in proptest::collection::btree_set(0u32..60, 0..40),
             b in proptest::collection::btree_set(0u32..60, 0..40),
         ) {
@@ -90,7 +90,7 @@ mod tests {
             prop_assert_eq!(ids(&both), a.intersection(&b).copied().collect::<Vec<_>>());
             prop_assert_eq!(ids(&either), a.union(&b).copied().collect::<Vec<_>>());
             prop_assert_eq!(ids(&only_a), a.difference(&b).copied().collect::<Vec<_>>());
-            // Runs are maximal: no boundary twice.
+            // Runs are maximal: no boundary occurs twice.
             prop_assert!(either.windows(2).all(|w| w[0] < w[1]));
         }
     }

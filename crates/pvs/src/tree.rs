@@ -1,57 +1,59 @@
-//! The kd-tree of view cells as the file has it: the cell of a point, and the box of a cell.
+//! The kd-tree of view cells in the form of the file: finds the cell of a point and the box of a cell.
 //!
-//! This module checks a tree and does not choose its planes.
+//! This module checks a tree. Other crates choose its planes.
 
 use crate::error::PvsError;
 
-/// Most planes between the root and a cell. Halving a box 64 times exhausts the precision of `f32` in
-/// practice, so no real tree is refused, and functions that walk a tree can recurse.
+/// The maximum number of planes between the root and a cell. Halving a box 64 times exhausts the precision of
+/// `f32` in practice, so no real tree is rejected, and functions that walk a tree can recurse.
 pub const MAX_DEPTH: usize = 64;
 
-/// A node. The children of a split follow it, the lower child with all of its descendants first.
+/// A node of the tree. The children of a split come after the split, first the lower child with all of its
+/// descendants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Node {
-    /// The plane where the coordinate `axis` (0, 1, 2 for x, y, z) equals `at` splits the box.
+    /// A split of the box by the plane on which coordinate `axis` equals `at`.
     Split {
-        /// 0, 1 or 2.
+        /// The axis: 0, 1 or 2 for x, y or z.
         axis: u8,
-        /// Strictly inside the node's box.
+        /// The coordinate of the plane, strictly inside the node's box.
         at: f32,
     },
     /// A view cell.
     Leaf,
 }
 
-/// Links of a node, so that walks up and down need no search.
+/// The links of a node, for walks up and down the tree without searches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Links {
-    /// The parent; the root is its own parent.
+    /// The index of the parent node; the root is its own parent.
     parent: u32,
-    /// Of a split, its upper child. Of a leaf, its cell.
+    /// The index of the upper child of a split, or of the cell of a leaf.
     upper_or_cell: u32,
-    /// The first cell below it, and the one after the last.
+    /// The first cell below the node, and the cell after the last one.
     first: u32,
     end: u32,
 }
 
-/// A valid kd-tree over a view box. Its leaves are the cells, numbered 0 … M−1 depth first, lower child
-/// first.
+/// A valid kd-tree over a view box. The leaves are the cells, numbered 0 … M−1 in depth-first order, lower
+/// child first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellTree {
     view_box: [[f32; 3]; 2],
     nodes: Vec<Node>,
     links: Vec<Links>,
-    /// The node of each cell.
+    /// The index of the node of each cell.
     leaves: Vec<u32>,
 }
 
 impl CellTree {
-    /// Checks the view box (min, max; world space) and the nodes, which are in depth-first order.
+    /// Creates a tree after checks of the view box (min, max; world space) and of the nodes in depth-first
+    /// order.
     ///
     /// # Errors
-    /// [`PvsError::Tree`] when the box is not finite or has min > max, a plane is not strictly inside its
+    /// [`PvsError::Tree`] if the box is not finite or has min > max, a plane is not strictly inside its
     /// node's box, an axis is above 2, nodes are missing or left over, or the tree is deeper than
-    /// [`MAX_DEPTH`]; [`PvsError::TooLarge`] for more than 2³¹ − 1 nodes.
+    /// [`MAX_DEPTH`]. [`PvsError::TooLarge`] if there are more than 2³¹ − 1 nodes.
     pub fn new(view_box: [[f32; 3]; 2], nodes: Vec<Node>) -> Result<Self, PvsError> {
         let bad = |node: usize, reason: &str| PvsError::Tree {
             node,
@@ -70,7 +72,7 @@ impl CellTree {
         }
         let mut links = Vec::with_capacity(nodes.len());
         let mut leaves = Vec::new();
-        // Subtrees not read yet, the next one on top: (parent, box, is the upper child, depth).
+        // The subtrees not read yet, with the next one on top: (parent, box, is the upper child, depth).
         let mut open = vec![(0u32, view_box, false, 0usize)];
         for (i, node) in nodes.iter().enumerate() {
             let Some((parent, bounds, is_upper, depth)) = open.pop() else {
@@ -100,7 +102,7 @@ impl CellTree {
                         return Err(bad(i, "the plane must lie strictly inside the node's box"));
                     }
                     if depth >= MAX_DEPTH {
-                        return Err(bad(i, "the tree is too deep"));
+                        return Err(bad(i, "the tree has more than 64 levels of planes"));
                     }
                     links.push(Links {
                         parent,
@@ -119,7 +121,7 @@ impl CellTree {
         if !open.is_empty() {
             return Err(bad(nodes.len(), "nodes are missing at the end"));
         }
-        // Children follow their parents, so going backwards every child is finished before its parent.
+        // Children come after their parents, so a backward loop finishes every child before its parent.
         for i in (0..nodes.len()).rev() {
             if let Node::Split { .. } = nodes[i] {
                 links[i].end = links[links[i].upper_or_cell as usize].end;
@@ -133,22 +135,22 @@ impl CellTree {
         })
     }
 
-    /// The view box: min, max.
+    /// Returns the view box: min, max.
     pub fn view_box(&self) -> [[f32; 3]; 2] {
         self.view_box
     }
 
-    /// The nodes, depth first, lower child first.
+    /// Returns the nodes in depth-first order, lower child first.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
-    /// The number of cells, M ≥ 1.
+    /// Returns the number of cells, M ≥ 1.
     pub fn cells(&self) -> u32 {
         self.leaves.len() as u32
     }
 
-    /// The box of a cell: min, max. `None` when there is no such cell.
+    /// Returns the box of a cell (min, max), or `None` if the cell does not exist.
     pub fn cell_bounds(&self, cell: u32) -> Option<[[f32; 3]; 2]> {
         let mut child = self.leaf(cell)?;
         let mut bounds = self.view_box;
@@ -169,13 +171,14 @@ impl CellTree {
         Some(bounds)
     }
 
-    /// The cell of a point in world space. A point on a splitting plane belongs to the upper side; the view
-    /// box is closed. `None` outside the view box, and when a coordinate is NaN.
+    /// Returns the index of the cell that contains a point in world space. A point on a splitting plane
+    /// belongs to the upper side, and the view box is closed. Returns `None` if the point is outside the view
+    /// box or a coordinate is NaN.
     pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
         self.find_cell_precisely(point.map(f64::from))
     }
 
-    /// [`Self::find_cell`] for a point in doubles.
+    /// Returns the cell of a point like [`Self::find_cell`], for coordinates in doubles.
     pub fn find_cell_precisely(&self, point: [f64; 3]) -> Option<u32> {
         let [lo, hi] = self.view_box.map(|corner| corner.map(f64::from));
         if !(0..3).all(|a| lo[a] <= point[a] && point[a] <= hi[a]) {
@@ -193,17 +196,17 @@ impl CellTree {
         Some(self.links[node].upper_or_cell)
     }
 
-    /// The node of a cell.
+    /// Returns the index of the node of a cell, or `None` if the cell does not exist.
     pub(crate) fn leaf(&self, cell: u32) -> Option<u32> {
         self.leaves.get(cell as usize).copied()
     }
 
-    /// The parent of a node; the root is its own parent.
+    /// Returns the parent of a node. The root is its own parent.
     pub(crate) fn parent(&self, node: u32) -> u32 {
         self.links[node as usize].parent
     }
 
-    /// The upper child of a split (the lower one is the next node), `None` for a leaf.
+    /// Returns the upper child of a split, or `None` for a leaf. The lower child is the next node.
     pub(crate) fn upper(&self, node: u32) -> Option<u32> {
         match self.nodes[node as usize] {
             Node::Split { .. } => Some(self.links[node as usize].upper_or_cell),
@@ -211,7 +214,7 @@ impl CellTree {
         }
     }
 
-    /// The first cell below a node, and the one after the last.
+    /// Returns the first cell below a node, and the cell after the last one.
     pub(crate) fn cells_below(&self, node: u32) -> [u32; 2] {
         [
             self.links[node as usize].first,
@@ -219,7 +222,7 @@ impl CellTree {
         ]
     }
 
-    /// The nodes from `node` up to the root, both included.
+    /// Returns the nodes from `node` up to the root, including both.
     pub(crate) fn path(&self, node: u32) -> impl Iterator<Item = u32> + '_ {
         std::iter::successors(Some(node), |&n| (n != 0).then(|| self.parent(n)))
     }
@@ -247,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_are_numbered_depth_first_and_bounded_by_their_planes() {
+    fn cells_have_depth_first_numbers_and_plane_bounds() {
         let t = tree();
         assert_eq!(t.cells(), 4);
         assert_eq!(t.cell_bounds(0), Some([[0.0, 0.0, 0.0], [1.0, 2.0, 1.0]]));
@@ -258,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_on_a_plane_is_above_it_and_the_view_box_is_closed() {
+    fn point_on_plane_is_above_and_view_box_is_closed() {
         let t = tree();
         assert_eq!(t.find_cell([0.5, 0.5, 0.5]), Some(0));
         assert_eq!(t.find_cell([1.0, 0.5, 0.5]), Some(1));
@@ -277,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_trees_are_refused() {
+    fn new_rejects_bad_trees() {
         let split = |at| Node::Split { axis: 0, at };
         let why = |nodes: Vec<Node>| CellTree::new(BOX, nodes).unwrap_err().to_string();
         assert!(why(vec![]).contains("missing"));
@@ -299,7 +302,7 @@ mod tests {
             CellTree::new([[1.0; 3], [1.0; 3]], vec![Node::Leaf]).is_ok(),
             "a flat box is a box"
         );
-        // Two degenerate trees deeper than allowed, one to each side.
+        // Build two degenerate trees deeper than allowed, one to each side.
         let box_x = [[0.0; 3], [1.0; 3]];
         let lower: Vec<Node> = (1..100)
             .map(|i| split(0.5f32.powi(i)))
@@ -309,7 +312,7 @@ mod tests {
             CellTree::new(box_x, lower)
                 .unwrap_err()
                 .to_string()
-                .contains("too deep")
+                .contains("more than 64 levels")
         );
         let upper: Vec<Node> = (1..100)
             .flat_map(|i| [split(i as f32 / 128.0), Node::Leaf])
@@ -319,7 +322,7 @@ mod tests {
             CellTree::new(box_x, upper)
                 .unwrap_err()
                 .to_string()
-                .contains("too deep")
+                .contains("more than 64 levels")
         );
     }
 }

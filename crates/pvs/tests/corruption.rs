@@ -1,6 +1,7 @@
-//! A truncated or altered file is refused, never misread; a file made to deceive gives an error, never a
-//! panic.
-// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+//! Tests of damaged files: a truncated or altered file is rejected, and a file with forged checksums never
+//! causes a panic.
+// Helpers of tests may unwrap as tests do. The exception in clippy's configuration covers only test
+// functions.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -10,8 +11,8 @@ fn small_file() -> Vec<u8> {
     file_with(vec![], &[])
 }
 
-/// The same file without columns, with two, with columns and certificates for some cells, and with
-/// certificates alone.
+/// Returns four files: without columns, with two columns, with columns and certificates for some cells, and
+/// with only certificates.
 fn small_files() -> [Vec<u8>; 4] {
     let column = |name: &str, values: [u64; 3]| Column {
         name: name.into(),
@@ -76,7 +77,7 @@ fn file_with(columns: Vec<Column>, certificates: &[&[u8]]) -> Vec<u8> {
 }
 
 #[test]
-fn certificates_come_back_and_cells_without_one_have_none() {
+fn certificates_round_trip_and_may_be_missing() {
     let [without, columns, some, all] = small_files();
     for file in [without, columns] {
         assert_eq!(Pvs::from_bytes(file).unwrap().certificate(0).unwrap(), None);
@@ -106,11 +107,11 @@ fn certificates_come_back_and_cells_without_one_have_none() {
 }
 
 #[test]
-fn every_altered_byte_is_noticed() {
+fn rejects_every_altered_byte() {
     for file in small_files() {
         assert!(Pvs::from_bytes(file.clone()).is_ok());
         for at in 0..file.len() {
-            // 7 and 8 sections differ by 0x0f, 7 and 9 by 0x0e.
+            // The flip 0x0f turns 7 sections into 8, and 0x0e turns 7 into 9.
             for flip in [0x01, 0x0e, 0x0f, 0x80, 0xff] {
                 let mut altered = file.clone();
                 altered[at] ^= flip;
@@ -125,7 +126,7 @@ fn every_altered_byte_is_noticed() {
 }
 
 #[test]
-fn every_truncation_is_noticed() {
+fn rejects_every_truncation() {
     for file in small_files() {
         for keep in 0..file.len() {
             assert!(
@@ -144,7 +145,7 @@ fn every_truncation_is_noticed() {
 }
 
 #[test]
-fn an_altered_number_of_sections_is_named() {
+fn errors_report_altered_section_count() {
     for file in small_files() {
         for sections in (0..=10).chain([u8::MAX]).filter(|&n| n != file[12]) {
             let mut altered = file.clone();
@@ -168,7 +169,7 @@ fn an_altered_number_of_sections_is_named() {
             );
         }
     }
-    // A table that reaches beyond the end of the file.
+    // This table reaches beyond the end of the file.
     let [_, file, ..] = small_files();
     assert!(matches!(
         Pvs::from_bytes(&file[..220]),
@@ -179,9 +180,9 @@ fn an_altered_number_of_sections_is_named() {
     ));
 }
 
-/// A section of columns that is empty would be a second form of a file without.
+/// An empty section of columns would be a second form of a file without columns.
 #[test]
-fn an_empty_section_of_columns_is_refused() {
+fn rejects_empty_column_section() {
     let [without, with, ..] = small_files();
     let start = u64::from_le_bytes(with[216..224].try_into().unwrap()) as usize;
     assert_eq!(start, without.len() + 24);
@@ -207,7 +208,7 @@ fn an_empty_section_of_columns_is_refused() {
 }
 
 #[test]
-fn other_files_and_versions_are_named() {
+fn errors_report_other_formats_and_versions() {
     assert!(matches!(
         Pvs::from_bytes(&b"solid cube"[..]),
         Err(PvsError::NotPvs)
@@ -221,9 +222,9 @@ fn other_files_and_versions_are_named() {
     ));
 }
 
-/// Writes the right checksums over whatever the file now holds.
+/// Overwrites the checksums with the checksums of the current contents.
 fn seal(file: &mut [u8]) {
-    // With a number of sections that cannot be, the header is checked as one of seven.
+    // If the number of sections is impossible, the reader checks the header as one of seven sections.
     let table_end = match file[12..16] {
         [sections @ 8..=9, 0, 0, 0] => 40 + usize::from(sections) * 24,
         _ => 208,
@@ -244,13 +245,14 @@ fn seal(file: &mut [u8]) {
     file[36..40].copy_from_slice(&crc);
 }
 
-/// Opens and reads everything; what matters is that it returns, with ascending ids below N where it succeeds.
+/// Opens a file and reads all of its contents. The ids of every set that can be read must ascend and be below
+/// N.
 fn read_all(file: Vec<u8>) -> bool {
     let Ok(pvs) = Pvs::from_bytes(file) else {
         return false;
     };
     let mut ids = Vec::new();
-    // Opening has checked all there is to them.
+    // Opening has checked the columns completely.
     for column in pvs.columns().unwrap() {
         assert_eq!(column.values.len(), pvs.cells() as usize);
     }
@@ -272,13 +274,12 @@ fn read_all(file: Vec<u8>) -> bool {
 }
 
 #[test]
-fn deceiving_files_do_not_panic() {
+fn forged_files_do_not_panic() {
     for file in small_files() {
         assert!(read_all(file.clone()));
         let mut refused = 0;
         for at in 8..file.len() {
-            // N itself (bytes 24…27) is whatever the file says it is, as long as the objects agree; they do
-            // not here.
+            // N itself (bytes 24…27) may have any value if the objects agree with it. They do not agree here.
             for flip in [0x01, 0x02, 0x0f, 0x10, 0x80, 0xff] {
                 let mut altered = file.clone();
                 altered[at] ^= flip;
@@ -322,7 +323,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
+    fn rejects_random_bytes(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
         prop_assert!(Pvs::from_bytes(bytes).is_err());
     }
 }

@@ -8,10 +8,10 @@ use sightline_pvs::{
     Portals, Relation, Source,
 };
 
-/// Mutations of each valid file.
+/// The number of mutations of each valid file.
 const ROUNDS: usize = 8000;
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// A random number generator (xorshift64*) with a fixed sequence per seed.
 struct Random(u64);
 
 impl Random {
@@ -56,7 +56,7 @@ fn mutate(r: &mut Random, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
                 bytes.drain(at..end);
             }
             5 => {
-                // A number that is too large, negative, or no number.
+                // Write a number that is too large, negative, or not a number.
                 let v = [
                     0u32,
                     1,
@@ -160,7 +160,7 @@ fn full(items: Option<&Items>) -> Vec<u8> {
     finished(builder)
 }
 
-/// Creates a file with four rooms in a row and an opening between each two.
+/// Creates a file with four rooms in a row and an opening between each pair of neighbours.
 fn divided() -> Vec<u8> {
     let opening = |x: u32, door: u32| Portal {
         leaves: [x - 1, x],
@@ -189,7 +189,7 @@ fn divided() -> Vec<u8> {
 }
 
 #[test]
-fn inputs_that_once_crashed_do_not() {
+fn former_crash_inputs_do_not_crash() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
     let mut paths: Vec<_> = std::fs::read_dir(crashes)
         .unwrap()
@@ -223,7 +223,7 @@ fn mutated_results_do_not_crash() {
         let ran = std::panic::catch_unwind(|| pvs(&bytes));
         opened += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
     }
-    // Mutations that are all rejected, or all opened, would reach little of the code.
+    // If all mutations were rejected, or all were opened, the test would reach little of the code.
     assert!(
         (rounds / 50..rounds - rounds / 50).contains(&opened),
         "{opened} of {rounds} were opened"

@@ -1,5 +1,5 @@
-//! Look-ups through portals: doors, views that cannot be used, damaged sections, and that nothing is
-//! allocated.
+//! Tests of point queries through portals: doors, views that are not valid, damaged sections, and the absence
+//! of allocations.
 
 #![allow(
     clippy::unwrap_used,
@@ -28,11 +28,11 @@ thread_local! {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let _ = COUNT.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: as the caller's.
+        // SAFETY: the caller fulfils the contract of this function, which is the same.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: as the caller's.
+        // SAFETY: the caller fulfils the contract of this function, which is the same.
         unsafe { System.dealloc(at, layout) }
     }
 }
@@ -40,8 +40,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Rooms at x = 0, 1, 2 and 3 with sides of 1, one triangle in each, and an opening of half a side between
-/// two of them; the second opening has a door.
+/// Creates four rooms at x = 0, 1, 2 and 3 with sides of 1. Each room contains one triangle, and neighbours
+/// have an opening of half a side between them. The second opening has a door.
 fn portals() -> Portals {
     let opening = |x: u32, door: u32| Portal {
         leaves: [x - 1, x],
@@ -94,7 +94,7 @@ fn view(eye: [f64; 3], direction: [f64; 3]) -> View {
 }
 
 #[test]
-fn doors_and_views_decide_what_is_seen() {
+fn doors_and_views_determine_visible_triangles() {
     let pvs = result(&portals());
     let mut looker = Looker::new(&pvs).unwrap().unwrap();
     let mut seen = |eye, direction, shut| {
@@ -106,9 +106,9 @@ fn doors_and_views_decide_what_is_seen() {
     assert_eq!(seen(eye, ahead, false), [0, 1, 2, 3]);
     assert_eq!(seen(eye, ahead, true), [0, 1]);
     assert_eq!(seen(eye, [-1.0, 0.0, 0.0], false), [0]);
-    // From beside the opening the next one is out of sight.
+    // The eye is next to the opening, so the next opening is out of sight.
     assert_eq!(seen([0.9, 0.95, 0.25], [1.0, -2.0, 0.0], false), [0, 1]);
-    // In the plane of an opening it is in both rooms, and a glance along the plane shows both.
+    // The eye is in the plane of an opening, so it is in both rooms. A glance along the plane shows both.
     assert_eq!(seen([2.0, 0.25, 0.25], [0.0, 1.0, 0.0], true), [1, 2]);
     assert_eq!(looker.look(&view([9.0, 0.0, 0.0], ahead)).unwrap(), None);
     let mut bad = |view: View| match looker.look(&view) {
@@ -128,7 +128,7 @@ fn doors_and_views_decide_what_is_seen() {
 }
 
 #[test]
-fn a_look_allocates_nothing() {
+fn look_allocates_nothing() {
     let pvs = result(&portals());
     let mut looker = Looker::new(&pvs).unwrap().unwrap();
     let first = view([0.5, 0.25, 0.25], [1.0, 0.0, 0.0]);
@@ -144,7 +144,7 @@ fn a_look_allocates_nothing() {
 }
 
 #[test]
-fn a_result_without_portals_has_no_looker() {
+fn result_without_portals_has_no_looker() {
     let tree = CellTree::new([[0.0; 3], [4.0, 1.0, 1.0]], vec![Node::Leaf]).unwrap();
     let objects = vec![Object {
         name: "all".into(),
@@ -172,7 +172,7 @@ fn a_result_without_portals_has_no_looker() {
 
 proptest! {
     #[test]
-    fn damage_is_refused_or_harmless(
+    fn damaged_portals_are_rejected_or_harmless(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         cut in any::<prop::sample::Index>(),
     ) {

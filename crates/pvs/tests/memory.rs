@@ -1,5 +1,5 @@
-//! The memory that reading a result needs, which follows the bytes of the file and not the counts in its
-//! header.
+//! Tests of the memory that reading a result needs. The memory depends on the size of the file and not on the
+//! counts in its header.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use sightline_pvs::{Builder, CellTree, Contribution, Header, Items, Node, Object, Pvs, PvsError};
 
-/// The system's allocator, with the bytes in use and their maximum.
+/// The system's allocator, with counters of the bytes in use and of their maximum.
 struct Counting;
 
 static IN_USE: AtomicUsize = AtomicUsize::new(0);
@@ -19,13 +19,13 @@ unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let now = IN_USE.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
         MOST.fetch_max(now, Ordering::Relaxed);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller fulfils the contract of this function, which is the same.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         IN_USE.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller fulfils the contract of this function, which is the same.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -33,11 +33,11 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Returns the bytes that a function needs at once beyond the bytes in use before.
-fn most_bytes(of: impl FnOnce()) -> usize {
+/// Returns the maximum number of bytes that a function uses at once, in addition to the bytes in use before.
+fn most_bytes(work: impl FnOnce()) -> usize {
     let before = IN_USE.load(Ordering::Relaxed);
     MOST.store(before, Ordering::Relaxed);
-    of();
+    work();
     MOST.load(Ordering::Relaxed) - before
 }
 
@@ -62,7 +62,7 @@ fn header() -> Header {
     }
 }
 
-/// Opens a file and asks for everything that needs no list of ids.
+/// Opens a file and reads all contents that need no list of ids.
 fn read(file: &[u8]) -> Result<(u32, Vec<u32>), PvsError> {
     let pvs = Pvs::from_bytes(file.to_vec())?;
     let mut objects = Vec::new();
@@ -75,10 +75,10 @@ fn read(file: &[u8]) -> Result<(u32, Vec<u32>), PvsError> {
     Ok((pvs.visible_count(0)?, pvs.visible_bounds(0)?))
 }
 
-/// One test, because the whole process shares the counters.
+/// Tests all cases in one function, because the whole process shares the counters.
 #[test]
 fn memory_follows_bytes_of_file() {
-    // All triangles of an object.
+    // This file has all triangles of an object.
     let mut builder = Builder::new(header()).unwrap();
     builder
         .set_items(&Items::Objects { never: vec![7] })
@@ -89,7 +89,7 @@ fn memory_follows_bytes_of_file() {
         .unwrap();
     let mut objects = Vec::new();
     builder.finish(&mut objects).unwrap();
-    // A few triangles.
+    // This file has a few triangles.
     let mut builder = Builder::new(header()).unwrap();
     builder.push_cell(&[5, 6, TRIANGLES - 1], &[6], 0).unwrap();
     let mut triangles = Vec::new();

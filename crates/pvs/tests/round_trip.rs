@@ -1,11 +1,12 @@
-//! What goes into a result comes out of it, for any tree and any sets.
-// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+//! Tests that a reader returns the contents that the builder received, for any tree and any sets.
+// Helpers of tests may unwrap as tests do. The exception in clippy's configuration covers only test
+// functions.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
 use sightline_pvs::{Builder, CellTree, Column, Header, Node, Object, Pvs, PvsError, SET_ASIDE};
 
-/// A tree of `cells` leaves: each split leaves `shape[i]` of its cells (in 256ths) below.
+/// Creates a tree of `cells` leaves. Each split puts `shape[i]` (in 256ths) of its cells below its plane.
 fn tree(cells: usize, shape: &[u8]) -> CellTree {
     fn grow(cells: usize, bounds: [[f32; 3]; 2], shape: &[u8], nodes: &mut Vec<Node>) {
         if cells == 1 {
@@ -87,8 +88,8 @@ fn build_with(header: Header, cells: &[Cell], columns: &[Column]) -> Vec<u8> {
     file
 }
 
-/// Cells that resemble each other: a common base with a few ids flipped, some of them undecided; a few are
-/// all.
+/// Returns a strategy for cells that resemble each other: a common base with a few ids flipped, some of them
+/// undecided. A few cells have all ids.
 fn cells(triangles: u32) -> impl Strategy<Value = Vec<Cell>> {
     let base = proptest::collection::vec(any::<bool>(), triangles as usize);
     let flips = proptest::collection::vec((0..triangles.max(1), any::<bool>()), 0..20);
@@ -124,12 +125,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn what_goes_in_comes_out(
-        (triangles, cells) in (0u32..300).prop_flat_map(|n| (Just(n), cells(n))),
+    fn reader_returns_builder_input(
+        sets in (0u32..300).prop_flat_map(|n| (Just(n), cells(n))),
         shape in proptest::collection::vec(any::<u8>(), 1..6),
         sizes in proptest::collection::vec(0u32..40, 0..12),
         counts in proptest::collection::vec((any::<u64>(), 0u32..64), 0..4),
     ) {
+        let (triangles, cells) = sets;
         let tree = tree(cells.len(), &shape);
         let header = header(triangles, tree.clone(), &sizes);
         let columns: Vec<Column> = counts
@@ -193,9 +195,9 @@ proptest! {
 }
 
 proptest! {
-    /// Sets over 3·10⁹ triangles are decoded without a bit for each.
+    /// Checks that the reader decodes sets over 3·10⁹ triangles without one bit per triangle.
     #[test]
-    fn sets_over_billions_of_triangles_come_out(
+    fn sets_over_billions_of_triangles_round_trip(
         cells in proptest::collection::vec(proptest::collection::btree_set(0u32..40, 0..30), 1..9),
     ) {
         let spread = |k: &u32| (k / 4) * 300_000_000 + k % 4;
@@ -225,7 +227,8 @@ proptest! {
 
 #[test]
 fn object_with_visible_triangle_is_not_undecided() {
-    // Objects 0..2, 2..4 and 4..9: one visible and one undecided triangle, two undecided, and none.
+    // Objects 0..2, 2..4 and 4..9 have one visible and one undecided triangle, two undecided triangles, and
+    // none.
     let cell = (vec![0, 1, 2, 3], vec![1, 2, 3], 0);
     let pvs = Pvs::from_bytes(build(header(9, tree(1, &[128]), &[2, 2]), &[cell])).unwrap();
     let mut ids = Vec::new();
@@ -254,7 +257,7 @@ fn open_result_survives_truncation_of_its_file() {
 }
 
 #[test]
-fn a_file_is_the_same_mapped_and_in_memory() {
+fn mapped_file_equals_file_in_memory() {
     let file = build(
         header(9, tree(2, &[128]), &[4]),
         &[(vec![0, 1, 5], vec![5], 0), (vec![1, 8], vec![], 0)],
@@ -279,9 +282,10 @@ fn a_file_is_the_same_mapped_and_in_memory() {
     assert!(missing.to_string().contains("none.pvs"), "{missing}");
 }
 
-/// Averages are worth having: eight cells that share 999 of 1000 scattered ids cost little more than one.
+/// Checks that averages save space: eight cells that share 999 of 1000 scattered ids cost little more than
+/// one.
 #[test]
-fn what_cells_share_is_stored_once() {
+fn ids_that_cells_share_are_stored_once() {
     let base: Vec<u32> = (0..1000).map(|i| i * 7 + i % 3).collect();
     let cells: Vec<Cell> = (0..8)
         .map(|c| {
@@ -304,7 +308,7 @@ fn what_cells_share_is_stored_once() {
 }
 
 #[test]
-fn bad_input_is_refused() {
+fn builder_rejects_bad_input() {
     let fresh = || Builder::new(header(10, tree(2, &[128]), &[])).unwrap();
     let why = |visible: &[u32], undecided: &[u32], flags| {
         fresh()
@@ -364,7 +368,7 @@ fn bad_input_is_refused() {
 }
 
 #[test]
-fn cells_together_are_the_cells_one_by_one() {
+fn cells_pushed_together_give_same_file() {
     let cells = fixed_cells();
     let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
     let each: Vec<sightline_pvs::Cell<'_>> = cells
@@ -377,7 +381,7 @@ fn cells_together_are_the_cells_one_by_one() {
         .collect();
     let mut together = Builder::new(header()).unwrap();
     together.push_cells(&each[..2]).unwrap();
-    // A bad one is named by its number among all, and keeps out those that come with it.
+    // The error names a bad cell by its number among all cells, and the builder adds no cell of that call.
     let bad = sightline_pvs::Cell {
         visible: &[3, 2],
         undecided: &[],
@@ -395,7 +399,7 @@ fn cells_together_are_the_cells_one_by_one() {
 }
 
 #[test]
-fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
+fn columns_add_only_their_bytes_and_table_entry() {
     let cells = fixed_cells();
     let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
     let column = |name: &str, value: u64| Column {
@@ -404,7 +408,8 @@ fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
     };
     let without = build(header(), &cells);
     let entry = 24;
-    // The count; two lengths and a name for each column; a byte for seven bits of each value.
+    // The columns add the count, two lengths and a name per column, and one byte per seven bits of each
+    // value.
     let small = [column("rays_uniform", 127)];
     let with = build_with(header(), &cells, &small);
     assert_eq!(with.len(), without.len() + entry + 4 + (8 + 12 + 6));
@@ -414,7 +419,7 @@ fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
         with.len(),
         without.len() + entry + 4 + (8 + 12 + 6) + (8 + 11 + 2 * 6)
     );
-    // Those who read sets find the same bytes.
+    // A reader of sets reads equal bytes from both files.
     let [with, without] = [with, without].map(|file| Pvs::from_bytes(file).unwrap());
     assert_eq!(with.file_bytes()[1..], without.file_bytes()[1..]);
     assert_eq!(with.visible_section(), without.visible_section());
@@ -423,7 +428,7 @@ fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
 }
 
 #[test]
-fn columns_can_be_set_at_any_time_and_again() {
+fn columns_can_be_set_repeatedly_at_any_time() {
     let column = |name: &str, values: &[u64]| Column {
         name: name.into(),
         values: values.to_vec(),
@@ -452,7 +457,7 @@ fn columns_can_be_set_at_any_time_and_again() {
     assert!(twice.to_string().contains("\"d\""), "{twice}");
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
-    // What was refused has changed nothing.
+    // The rejected calls have not changed the columns.
     assert_eq!(
         Pvs::from_bytes(file).unwrap().columns().unwrap(),
         [column("c", &[5, 6])]
@@ -460,7 +465,7 @@ fn columns_can_be_set_at_any_time_and_again() {
 }
 
 #[test]
-fn a_failing_disk_is_reported() {
+fn finish_reports_full_disk() {
     struct Full;
     impl std::io::Write for Full {
         fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
@@ -475,15 +480,16 @@ fn a_failing_disk_is_reported() {
     assert!(matches!(builder.finish(&mut Full), Err(PvsError::Write(_))));
 }
 
-/// FNV-1a. Not the CRC-32C of the whole file: it holds checksums of the same kind, which can cancel a change.
+/// Computes the FNV-1a digest. The CRC-32C of the whole file does not suffice, because the file contains
+/// checksums of the same kind, which can cancel a change.
 fn digest(file: &[u8]) -> u64 {
     file.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
     })
 }
 
-/// Six cells made by arithmetic alone, so that their file is the same on every machine; the last is set
-/// aside.
+/// Creates six cells by integer arithmetic, so that their file does not depend on the machine. The last cell
+/// is set aside.
 fn fixed_cells() -> Vec<Cell> {
     let mut cells: Vec<Cell> = (0..5u32)
         .map(|c| {
@@ -502,10 +508,10 @@ fn fixed_cells() -> Vec<Cell> {
     cells
 }
 
-/// Length and digest were taken from the writer before there were columns: files without them have not
-/// changed.
+/// Checks that files without columns are unchanged. The writer from before the introduction of columns gave
+/// this length and digest.
 #[test]
-fn a_file_without_columns_is_what_it_was_before_there_were_any() {
+fn file_without_columns_keeps_its_bytes() {
     let cells = fixed_cells();
     let file = build(header(500, tree(6, &[128, 40]), &[100, 0, 250]), &cells);
     assert_eq!(file[12], 7);

@@ -1,6 +1,7 @@
-//! The sections of version 2: what is given comes back, damage is refused, and files without them are of
-//! version 1, of which one is kept.
-// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+//! Tests of the sections of version 2: contents round-trip and damage is rejected. Files without these
+//! sections have version 1, and a stored file of version 1 stays readable.
+// Helpers of tests may unwrap as tests do. The exception in clippy's configuration covers only test
+// functions.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -9,7 +10,7 @@ use sightline_pvs::{
     PvsError, Relation, Source,
 };
 
-/// A tree that halves a box `levels` times along x, y, z in turn.
+/// Creates a tree that halves a box `levels` times along the axes in turn.
 fn tree(levels: u32) -> CellTree {
     fn nodes(lo: [f32; 3], hi: [f32; 3], left: u32, out: &mut Vec<Node>) {
         if left == 0 {
@@ -72,7 +73,7 @@ fn relation(cells: u32, pairs: &[(u32, u32)]) -> Relation {
     relation
 }
 
-/// A file of two cells with everything there is.
+/// Creates a file of two cells with all sections.
 fn full(items: &Items) -> Vec<u8> {
     let mut b = builder(1, true);
     b.set_items(items).unwrap();
@@ -104,7 +105,7 @@ fn ids(f: impl FnOnce(&mut Vec<u32>) -> Result<(), PvsError>) -> Vec<u32> {
 }
 
 #[test]
-fn clusters_and_objects_come_back_as_items_and_as_triangles() {
+fn clusters_and_objects_round_trip_as_items_and_triangles() {
     let pvs = Pvs::from_bytes(full(&clusters())).unwrap();
     assert_eq!(
         (pvs.granularity(), pvs.item_count()),
@@ -142,7 +143,7 @@ fn clusters_and_objects_come_back_as_items_and_as_triangles() {
 }
 
 #[test]
-fn contributions_pairs_and_sources_come_back() {
+fn contributions_pairs_and_sources_round_trip() {
     let pvs = Pvs::from_bytes(full(&clusters())).unwrap();
     let contributions = pvs.contributions(0).unwrap().unwrap();
     assert!(
@@ -167,7 +168,7 @@ fn contributions_pairs_and_sources_come_back() {
         (2, 3, 0, Some(7))
     );
     assert_eq!(pvs.objects()[0].source.unwrap().instance, None);
-    // A file without them.
+    // This file has none of these sections.
     let mut b = builder(1, false);
     b.push_cell(&[0], &[], 0).unwrap();
     b.push_cell(&[], &[], sightline_pvs::NOT_REACHED).unwrap();
@@ -180,7 +181,7 @@ fn contributions_pairs_and_sources_come_back() {
 }
 
 #[test]
-fn nothing_is_known_of_cells_without_viewpoints_so_they_count_as_seen() {
+fn cells_without_viewpoints_count_as_visible() {
     let mut b = builder(1, false);
     b.set_pairs(&CellPairs {
         visible: relation(2, &[(0, 0), (1, 1)]),
@@ -199,7 +200,7 @@ fn nothing_is_known_of_cells_without_viewpoints_so_they_count_as_seen() {
 }
 
 #[test]
-fn what_contradicts_itself_is_refused() {
+fn rejects_contradictory_input() {
     let mut b = builder(1, false);
     assert!(b.push_cell(&[0], &[], sightline_pvs::NOT_REACHED).is_err());
     assert!(b.set_items(&Items::Clusters(vec![vec![3, 1]])).is_err());
@@ -212,7 +213,7 @@ fn what_contradicts_itself_is_refused() {
         .is_err()
     );
     for (cells, why) in [
-        (3, "another number of cells"),
+        (3, "different numbers of cells"),
         (2, "undecided and not visible"),
     ] {
         let undecided = Some(relation(cells, &[(0, 1)]));
@@ -233,13 +234,13 @@ fn what_contradicts_itself_is_refused() {
     );
     b.push_cell(&[0], &[], 0).unwrap();
     assert!(b.set_items(&clusters()).is_err());
-    // Two clusters share a triangle.
+    // These two clusters share a triangle.
     let shared = Items::Clusters(vec![vec![0, 3], vec![3], vec![4]]);
     assert!(Pvs::from_bytes(full(&shared)).is_err());
 }
 
 #[test]
-fn every_altered_byte_and_every_truncation_is_noticed() {
+fn rejects_every_altered_byte_and_truncation() {
     for file in [full(&clusters()), full(&Items::Objects { never: vec![0] })] {
         for at in 0..file.len() {
             for flip in [0x01, 0x0f, 0x80, 0xff] {
@@ -256,7 +257,7 @@ fn every_altered_byte_and_every_truncation_is_noticed() {
 }
 
 #[test]
-fn a_kept_file_of_version_1_reads_as_before() {
+fn reads_stored_file_of_version_1() {
     let pvs = Pvs::from_bytes(&include_bytes!("data/tiny-version-1.pvs")[..]).unwrap();
     assert_eq!(
         (pvs.cells(), pvs.triangle_count(), pvs.method()),
@@ -276,7 +277,7 @@ fn a_kept_file_of_version_1_reads_as_before() {
 
 proptest! {
     #[test]
-    fn a_box_is_seen_when_a_cell_that_it_meets_is(
+    fn box_is_visible_if_cell_that_it_meets_is(
         levels in 1u32..9,
         pairs in proptest::collection::vec((any::<u32>(), any::<u32>()), 0..60),
         cell in any::<u32>(),
@@ -289,7 +290,7 @@ proptest! {
         b.set_pairs(&CellPairs { visible: visible.clone(), undecided: None }).unwrap();
         let pvs = Pvs::from_bytes(finished(b)).unwrap();
         let cell = cell % cells;
-        // Quarters, so that boxes end on planes.
+        // The corners are multiples of a quarter, so that boxes end on planes.
         let [lo, hi]: [[f32; 3]; 2] = [0, 1].map(|k| {
             corners.map(|c| f32::from(if k == 0 { c[0].min(c[1]) } else { c[0].max(c[1]) }) / 4.0)
         });

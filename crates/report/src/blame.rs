@@ -1,12 +1,14 @@
-//! Blame: the objects that cost most, from how many cells each is seen, through which opening, and what
-//! closing that would save.
+//! Blame: the costliest objects and the reasons for their costs. For each object, blame contains the number
+//! of cells that see it, the opening through which most of these cells see it, and the saving if the opening
+//! were closed.
 //!
-//! All this is an estimate. For the costliest objects and some of the cells that see them, segments are drawn
-//! from points of the cell to points of the object's triangles in the set, and those that are free are
-//! *witnesses*. An opening is a box that the witnesses of most cells pass. Closing it would hide an object
-//! from a cell if all witnesses of the two pass it; what such pairs draw, scaled from the cells that were
-//! looked at to all that see the object, is the saving. Small parts that few segments hit count as seen
-//! through the opening when their one witness does, so savings are rather too large than too small.
+//! All results are estimates. For the costliest objects and some of the cells that see them, the search draws
+//! segments from points of the cell to points of the object's triangles in the set. The free segments are
+//! *witnesses*. An opening is a box that the witnesses of most cells pass. Closing an opening would hide an
+//! object from a cell if all witnesses of this cell and object pass the opening. The saving is the number of
+//! triangles that such pairs draw, scaled from the inspected cells to all cells that see the object. An
+//! object with a single witness counts as seen through the opening that this witness passes, so savings are
+//! more often too large than too small.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -21,99 +23,102 @@ use crate::ReportError;
 use crate::costs::Costs;
 use crate::openings::{Opening, Sights, find};
 
-/// Objects that are looked at.
+/// The maximum number of inspected objects.
 const OBJECTS: usize = 48;
-/// Cells that are looked at of each object.
+/// The maximum number of inspected cells per object.
 const CELLS: usize = 64;
-/// Segments that are tried of each pair.
+/// The number of segments tried per pair of cell and object.
 const TRIED: usize = 16 * LANES;
-/// Attempts to find a viewpoint in a cell.
+/// The number of attempts to find a viewpoint in a cell, per segment.
 const PLACES: u32 = 8;
-/// A segment that comes so close to its end, as a fraction, has met nothing else.
+/// The fraction of a segment, from the cell, that must be unobstructed. The rest is next to the object.
 const FREE: f32 = 1.0 - 1e-3;
 
-/// An object and what it costs.
+/// An object and its costs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Blamed {
-    /// Its name, or where the cluster is.
+    /// The name of the object, or the position of the cluster.
     pub name: String,
-    /// Cells that see it.
+    /// The number of cells that see the object.
     pub cells: u32,
-    /// Triangles of it that these draw, summed.
+    /// The number of the object's triangles that these cells draw, summed.
     pub drawn: u64,
-    /// The fraction of all that is drawn.
+    /// The quotient of `drawn` and the number of all triangles that all cells draw.
     pub share: f64,
-    /// Cells that were looked at.
+    /// The number of inspected cells.
     pub looked_at: u32,
-    /// Those of them from which a free segment was found.
+    /// The number of inspected cells with a free segment to the object.
     pub joined: u32,
-    /// The number of the opening that most of them see it through.
+    /// The index of the opening through which most of these cells see the object.
     pub through: Option<usize>,
 }
 
-/// An opening and what closing it would save.
+/// An opening and the saving if it were closed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Closed {
-    /// The box.
+    /// The box of the opening.
     pub opening: Opening,
-    /// The estimated fraction of all that is drawn.
+    /// The estimated saving, as a fraction of all drawn triangles.
     pub saves: f64,
-    /// Objects that most cells see through it.
+    /// The number of objects that most cells see through the opening.
     pub objects: usize,
 }
 
-/// Who is to blame.
+/// The objects and openings that are responsible for the costs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Blame {
-    /// Whether the objects are clusters of a scene with few objects.
+    /// True if the objects are clusters of a scene with few objects.
     pub are_clusters: bool,
-    /// The costliest first.
+    /// The objects, the costliest first.
     pub objects: Vec<Blamed>,
-    /// The ones that save most first.
+    /// The openings, the one with the largest saving first.
     pub openings: Vec<Closed>,
 }
 
 /// The witnesses of an object.
-struct Seen {
+struct ObjectWitnesses {
     group: usize,
     looked_at: u32,
-    /// Each cell with its witnesses, and how many triangles of the object it draws.
+    /// The inspected cells with their witnesses, and the number of the object's triangles that each cell
+    /// draws.
     sights: Vec<(Sights, u32)>,
 }
 
-/// Looks for openings. `is_place` returns true where viewpoints can be; `step` is as for
-/// [`SightLineTracer::trace_each`].
+/// Searches for openings. `is_place` returns true for points where viewpoints can be. `step` has the meaning
+/// of the parameter of [`SightLineTracer::trace_each`].
 ///
 /// # Errors
-/// [`ReportError`].
+/// [`ReportError`] if the result cannot be read or rays cannot be traced.
 pub fn blame(
     sight: &SightLineTracer<'_>,
-    (pvs, scene): (&Pvs, &Scene),
+    pvs: &Pvs,
+    scene: &Scene,
     costs: &Costs,
-    (seed, step): (u64, f32),
+    seed: u64,
+    step: f32,
     is_place: &(dyn Fn(Vec3) -> bool + Sync),
 ) -> Result<Blame, ReportError> {
     let by_group = costs.by_group();
     let mut order: Vec<usize> = (0..by_group.len()).filter(|g| by_group[*g].0 > 0).collect();
     order.sort_by_key(|g| (std::cmp::Reverse(by_group[*g].1), *g));
     order.truncate(OBJECTS);
-    let seen: Vec<Seen> = order
+    let seen: Vec<ObjectWitnesses> = order
         .par_iter()
-        .map(|group| look(sight, (pvs, scene), costs, *group, (seed, step), is_place))
+        .map(|group| look(sight, pvs, scene, costs, *group, seed, step, is_place))
         .collect::<Result<_, _>>()?;
     let bounds = scene.bounds();
     let mut openings: Vec<Closed> = Vec::new();
     let mut objects = Vec::new();
-    for of in &seen {
-        let triangles = &costs.groups[of.group].triangles;
+    for witnesses in &seen {
+        let triangles = &costs.groups[witnesses.group].triangles;
         let object = Aabb::around(
             triangles
                 .iter()
                 .flat_map(|t| scene.triangles()[*t as usize].v),
         );
-        let sights: Vec<&Sights> = of.sights.iter().map(|(sights, _)| sights).collect();
+        let sights: Vec<&Sights> = witnesses.sights.iter().map(|(sights, _)| sights).collect();
         let through = find(bounds, object, &sights).map(|opening| {
-            // Boxes that meet are taken to be one opening: the first that was found.
+            // Treat boxes that meet as one opening, which is the first found.
             openings
                 .iter()
                 .position(|known| known.opening.meets(&opening))
@@ -129,25 +134,25 @@ pub fn blame(
         if let Some(number) = through {
             openings[number].objects += 1;
         }
-        let (cells, drawn) = by_group[of.group];
+        let (cells, drawn) = by_group[witnesses.group];
         objects.push(Blamed {
-            name: costs.groups[of.group].name.clone(),
+            name: costs.groups[witnesses.group].name.clone(),
             cells,
             drawn,
             share: drawn as f64 / costs.total.max(1) as f64,
-            looked_at: of.looked_at,
-            joined: of.sights.len() as u32,
+            looked_at: witnesses.looked_at,
+            joined: witnesses.sights.len() as u32,
             through,
         });
     }
     for closed in &mut openings {
         let saved: f64 = seen
             .iter()
-            .map(|of| saved_by(closed.opening, of, by_group[of.group].0))
+            .map(|witnesses| saved_by(closed.opening, witnesses, by_group[witnesses.group].0))
             .sum();
         closed.saves = saved / costs.total.max(1) as f64;
     }
-    // Numbers follow the order.
+    // Renumber the openings by their new order.
     let mut ranks: Vec<usize> = (0..openings.len()).collect();
     ranks.sort_by(|a, b| {
         openings[*b]
@@ -168,32 +173,34 @@ pub fn blame(
     })
 }
 
-/// Triangles that would not be drawn of an object that `cells` cells see.
-fn saved_by(opening: Opening, of: &Seen, cells: u32) -> f64 {
+/// Returns the number of triangles of an object that would not be drawn, if `cells` cells see the object.
+fn saved_by(opening: Opening, witnesses: &ObjectWitnesses, cells: u32) -> f64 {
     let is_hidden = |s: &&(Sights, u32)| {
         s.0.segments
             .iter()
             .all(|segment| opening.is_passed(*segment))
     };
-    let hidden: u64 = of
+    let hidden: u64 = witnesses
         .sights
         .iter()
         .filter(is_hidden)
         .map(|(_, drawn)| u64::from(*drawn))
         .sum();
-    // Cells without a witness say nothing, and count as cells that go on seeing the object.
-    hidden as f64 * f64::from(cells) / f64::from(of.looked_at.max(1))
+    // Cells without a witness give no information, and count as cells that still see the object.
+    hidden as f64 * f64::from(cells) / f64::from(witnesses.looked_at.max(1))
 }
 
-/// Draws segments between some of the cells that see an object and the object.
+/// Samples segments from some of the cells that see an object to the object.
 fn look(
     sight: &SightLineTracer<'_>,
-    (pvs, scene): (&Pvs, &Scene),
+    pvs: &Pvs,
+    scene: &Scene,
     costs: &Costs,
     group: usize,
-    (seed, step): (u64, f32),
+    seed: u64,
+    step: f32,
     is_place: &(dyn Fn(Vec3) -> bool + Sync),
-) -> Result<Seen, ReportError> {
+) -> Result<ObjectWitnesses, ReportError> {
     let seers: Vec<(u32, u32)> = (0u32..)
         .zip(&costs.cells)
         .filter_map(|(cell, drawn)| {
@@ -227,7 +234,7 @@ fn look(
             else {
                 continue;
             };
-            // Uniform over the triangle (Turk 1990).
+            // Choose a uniform point of the triangle (Turk 1990).
             let v = scene.triangles()[*id as usize].v;
             let (s, t) = (unit().sqrt(), unit());
             let to = v[0] * (1.0 - s) + v[1] * (s * (1.0 - t)) + v[2] * (s * t);
@@ -263,7 +270,7 @@ fn look(
             ));
         }
     }
-    Ok(Seen {
+    Ok(ObjectWitnesses {
         group,
         looked_at,
         sights,

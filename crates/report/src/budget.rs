@@ -1,49 +1,51 @@
-//! Budgets: what a cell may draw, the cells that draw more, and which objects cost most there.
+//! Budgets: the limits on the content of a cell, the cells that exceed them, and the costliest objects there.
 
 use serde::{Deserialize, Serialize};
+use sightline_numbers::ids::CellIndex;
 use sightline_pvs::Pvs;
 
 use crate::costs::Costs;
 
-/// Bytes of a triangle unless a budget says otherwise: three corners of three floats.
+/// The default size of a triangle in bytes: three corners of three floats.
 const BYTES_A_TRIANGLE: u64 = 36;
-/// Objects that are named of a cell.
+/// The maximum number of objects that are named per cell.
 const NAMED: usize = 8;
 
-/// What a cell may draw. What is absent has no limit.
+/// The limits on the content of a cell. An absent limit means no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
-    /// Triangles in the set.
+    /// The maximum number of triangles in the set.
     pub triangles: Option<u64>,
-    /// Objects of which something is in the set.
+    /// The maximum number of objects with a triangle in the set.
     pub objects: Option<u64>,
-    /// Bytes of these objects, all of their triangles.
+    /// The maximum size of these objects in bytes, with all of their triangles.
     pub bytes: Option<u64>,
-    /// Bytes of a triangle; 36 if absent.
+    /// The size of a triangle in bytes. Default: 36.
     pub bytes_per_triangle: Option<u64>,
 }
 
-/// A cell that draws more than it may, or, without a budget, one of those that draw most.
+/// A cell that exceeds its budget, or without a budget one of the cells that draw most.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OverBudget {
-    /// Its number.
-    pub cell: u32,
-    /// Its box, world space.
+    /// The index of the cell.
+    pub cell: CellIndex,
+    /// The box of the cell, in world space.
     pub bounds: [[f32; 3]; 2],
-    /// What it draws.
+    /// The number of triangles in the cell's set.
     pub triangles: u64,
-    /// Objects of which it draws something.
+    /// The number of objects with a triangle in the cell's set.
     pub objects: u64,
-    /// Bytes of these objects.
+    /// The size of these objects, in bytes.
     pub bytes: u64,
-    /// How many times the budget that is exceeded most; 0 without a budget.
+    /// The largest quotient of a cost and its limit; 0 without a budget.
     pub times: f64,
-    /// The objects that cost most: names, and how many of their triangles the cell draws.
+    /// The costliest objects: names, and the number of their triangles in the cell's set.
     pub costliest: Vec<(String, u32)>,
 }
 
-/// The cells that draw more than they may, the worst first; without a budget the `most` that draw most.
+/// Returns all cells that exceed the budget, the largest excess first. Without a budget, returns the `most`
+/// cells that draw the most triangles.
 pub fn over_budget(
     pvs: &Pvs,
     costs: &Costs,
@@ -55,7 +57,7 @@ pub fn over_budget(
         .unwrap_or(BYTES_A_TRIANGLE);
     let size = |group: u32| costs.groups[group as usize].triangles.len() as u64;
     let mut all = Vec::new();
-    for (cell, drawn) in (0u32..).zip(&costs.cells) {
+    for (cell, drawn) in (0u32..).map(CellIndex).zip(&costs.cells) {
         let triangles: u64 = drawn.iter().map(|(_, count)| u64::from(*count)).sum();
         let objects = drawn.len() as u64;
         let bytes = drawn
@@ -64,7 +66,7 @@ pub fn over_budget(
             .sum::<u64>()
             .saturating_mul(each);
         let usage_ratio = |is: u64, limit: Option<u64>| match limit {
-            // Anything is infinitely many times nothing.
+            // A budget of 0 is exceeded by an infinite factor.
             Some(0) if is > 0 => f64::INFINITY,
             None | Some(0) => 0.0,
             Some(limit) => is as f64 / limit as f64,
@@ -82,7 +84,7 @@ pub fn over_budget(
         let name =
             |(group, count): &(u32, u32)| (costs.groups[*group as usize].name.clone(), *count);
         let costliest = costliest.iter().take(NAMED).map(name).collect();
-        let bounds = pvs.cell_bounds(cell).unwrap_or_default();
+        let bounds = pvs.cell_bounds(cell.0).unwrap_or_default();
         all.push(OverBudget {
             cell,
             bounds,
@@ -110,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_budget_names_only_what_there_is() {
+    fn budget_rejects_unknown_limits() {
         let read = |text: &str| serde_json::from_str::<Budget>(text);
         assert_eq!(read(r#"{"triangles": 9}"#).unwrap().triangles, Some(9));
         assert!(

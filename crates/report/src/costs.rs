@@ -1,4 +1,5 @@
-//! What objects cost: in how many cells each is seen, and how many of its triangles these cells draw.
+//! The costs of objects. The costs of an object are the number of cells that see it, and the number of its
+//! triangles that these cells draw.
 
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
@@ -6,15 +7,16 @@ use sightline_scene::clusters::clusters;
 
 use crate::ReportError;
 
-/// Scenes with fewer objects are looked at in clusters: one object says nothing about where the cost is.
+/// The number of objects below which a scene is split into clusters. One object alone does not locate the
+/// cost.
 const FEW: usize = 8;
 
 /// An object, or a cluster of neighbouring triangles of a scene with few objects.
 #[derive(Clone, Debug)]
 pub struct Group {
-    /// The object's name, or where the cluster is.
+    /// The name of the object, or the position of the cluster.
     pub name: String,
-    /// Its triangles, ascending.
+    /// The triangles of the group, ascending.
     pub triangles: Vec<u32>,
 }
 
@@ -22,39 +24,40 @@ pub struct Group {
 pub struct Costs {
     /// The groups.
     pub groups: Vec<Group>,
-    /// Whether they are clusters.
+    /// True if the groups are clusters.
     pub are_clusters: bool,
-    /// For each cell the groups of which it draws something, and how many triangles, ascending by group.
-    /// Empty for cells without viewpoints.
+    /// For each cell, the groups with triangles in its set and the number of these triangles, ascending by
+    /// group. Empty for cells without viewpoints.
     pub cells: Vec<Vec<(u32, u32)>>,
-    /// Triangles drawn, summed over all cells.
+    /// The number of triangles in the sets, summed over all cells.
     pub total: u64,
 }
 
 impl Costs {
-    /// Counts the sets of a result. A result that names objects or clusters draws all of their triangles.
+    /// Counts the costs from the sets of a result. A result that names objects or clusters draws all of their
+    /// triangles.
     ///
     /// # Errors
-    /// [`ReportError::Pvs`] when the result cannot be read.
-    pub fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
+    /// [`ReportError::Pvs`] if the result cannot be read.
+    pub fn count(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
         let are_clusters = scene.objects().len() < FEW;
         let groups = if are_clusters {
             clusters_of(scene)
         } else {
             objects_of(scene)
         };
-        Self::of_groups(pvs, scene, groups, are_clusters)
+        Self::count_groups(pvs, scene, groups, are_clusters)
     }
 
-    /// The same by objects, however few they are.
+    /// Counts the costs from the sets of a result by objects, even for a scene with few objects.
     ///
     /// # Errors
-    /// [`ReportError::Pvs`] when the result cannot be read.
-    pub fn of_objects(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
-        Self::of_groups(pvs, scene, objects_of(scene), false)
+    /// [`ReportError::Pvs`] if the result cannot be read.
+    pub fn count_objects(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
+        Self::count_groups(pvs, scene, objects_of(scene), false)
     }
 
-    fn of_groups(
+    fn count_groups(
         pvs: &Pvs,
         scene: &Scene,
         groups: Vec<Group>,
@@ -96,7 +99,8 @@ impl Costs {
         })
     }
 
-    /// For each group in how many cells it is seen, and how many of its triangles these draw.
+    /// Returns, for each group, the number of cells that see it and the number of its triangles that these
+    /// cells draw.
     pub fn by_group(&self) -> Vec<(u32, u64)> {
         let mut all = vec![(0, 0); self.groups.len()];
         for (group, count) in self.cells.iter().flatten() {

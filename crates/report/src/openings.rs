@@ -1,26 +1,26 @@
-//! Openings: boxes through which most of the segments between an object and the cells that see it pass.
+//! Openings: boxes that most of the segments between an object and the cells that see it pass.
 
 use glam::{UVec3, Vec3};
 use rustc_hash::{FxHashMap, FxHashSet};
 use serde::Serialize;
 use sightline_scene::Aabb;
 
-/// Boxes along the longest side of the scene, from the finest grid to the coarsest.
+/// The numbers of boxes along the longest side of the scene, from the finest grid to the coarsest.
 const GRIDS: [u32; 4] = [96, 48, 24, 12];
-/// The share of the cells that have to see the object through the box.
+/// The minimum share of the cells that see the object through the box.
 const SHARE: f64 = 0.6;
-/// The share of a cell's segments that have to pass the box.
+/// The minimum share of a cell's free segments that pass the box.
 const MOST: f64 = 0.9;
-/// The share of a cell's blocked segments that may pass the box. All segments come together in front of the
-/// object, free or not; an opening is where free ones pass alone.
+/// The maximum share of a cell's blocked segments that pass the box. All segments converge in front of the
+/// object, free or not; only free segments pass an opening.
 const FEW: f64 = 0.5;
-/// Segments of a cell that are looked at.
+/// The maximum number of inspected segments per cell.
 const LOOKED_AT: usize = 16;
 
 /// A box in space.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Opening {
-    /// Its least and greatest corner, world space.
+    /// The lowest and highest corner, in world space.
     pub bounds: [[f32; 3]; 2],
 }
 
@@ -29,7 +29,7 @@ impl Opening {
         self.bounds.map(Vec3::from)
     }
 
-    /// Whether a segment passes the box.
+    /// Returns true if a segment passes the box.
     pub fn is_passed(&self, [a, b]: [Vec3; 2]) -> bool {
         let [min, max] = self.corners();
         let (mut from, mut to) = (0.0f32, 1.0f32);
@@ -48,33 +48,33 @@ impl Opening {
         from <= to
     }
 
-    /// Whether two boxes have a point in common.
+    /// Returns true if two boxes have a point in common.
     pub fn meets(&self, other: &Self) -> bool {
         let ([a0, a1], [b0, b1]) = (self.corners(), other.corners());
         a0.cmple(b1).all() && b0.cmple(a1).all()
     }
 }
 
-/// A cell that sees an object, and free segments from the one to the other.
+/// A cell that sees an object, and the sampled segments from the cell to the object.
 pub struct Sights {
     /// The cell's box.
     pub cell: Aabb,
-    /// From the cell to the object.
+    /// The free segments from the cell to the object.
     pub segments: Vec<[Vec3; 2]>,
-    /// Those that were tried and are blocked.
+    /// The blocked segments from the cell to the object.
     pub blocked: Vec<[Vec3; 2]>,
 }
 
 impl Sights {
-    /// Whether much between the cell and the object is in the way. Where little is, the object is seen in the
-    /// open, although all segments come together in front of it.
+    /// Returns true if at least half of the segments between the cell and the object are blocked. Otherwise
+    /// no opening restricts the view of the object, although all segments converge in front of the object.
     fn is_narrow(&self) -> bool {
         self.segments.len() <= self.blocked.len()
     }
 }
 
-/// The smallest box that most of these cells see the object through: outside of the cells and away from the
-/// object. `None` when the object is seen in the open, or by a single cell.
+/// Returns the smallest box through which most of these cells see the object, outside the cells and away from
+/// the object. Returns `None` if no such box exists, or if only one cell sees the object.
 pub fn find(scene: Aabb, object: Aabb, sights: &[&Sights]) -> Option<Opening> {
     if sights.len() < 2 {
         return None;
@@ -85,8 +85,8 @@ pub fn find(scene: Aabb, object: Aabb, sights: &[&Sights]) -> Option<Opening> {
         .find_map(|grid| of_size(scene, object, sights, longest / grid as f32))
 }
 
-/// The box of this size that most cells see the object through. Boxes overlap by half, so that an opening of
-/// half the size is in one of them.
+/// Returns the box of this size through which most cells see the object. Boxes overlap by half, so that an
+/// opening of half the size is in one of them.
 fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<Opening> {
     let half = size / 2.0;
     let near = Aabb {
@@ -94,21 +94,21 @@ fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<O
         max: object.max + size,
     };
     let mut cells: FxHashMap<[u32; 3], u32> = FxHashMap::default();
-    for of in sights.iter().filter(|of| of.is_narrow()) {
+    for narrow in sights.iter().filter(|s| s.is_narrow()) {
         let passes = |segments: &[[Vec3; 2]], share: f64| {
-            let (passed, count) = passing(scene, &[of.cell, near], segments, half);
+            let (passed, count) = passing(scene, &[narrow.cell, near], segments, half);
             let enough = share * count as f64;
             passed
                 .into_iter()
                 .filter(move |(_, n)| f64::from(*n) >= enough)
                 .map(|(place, _)| place)
         };
-        let full: FxHashSet<[u32; 3]> = passes(&of.blocked, FEW).collect();
-        for place in passes(&of.segments, MOST).filter(|place| !full.contains(place)) {
+        let full: FxHashSet<[u32; 3]> = passes(&narrow.blocked, FEW).collect();
+        for place in passes(&narrow.segments, MOST).filter(|place| !full.contains(place)) {
             *cells.entry(place).or_default() += 1;
         }
     }
-    // Of several with the same count the first in order, so that the answer is one.
+    // Of several boxes with equal counts, choose the first in order, so that the result is unique.
     let (place, count) = cells
         .into_iter()
         .max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)))?;
@@ -120,20 +120,22 @@ fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<O
     })
 }
 
-/// For each box how many of some segments pass it, outside of the boxes `but`; and how many were looked at.
+/// Returns, for each box of the grid, the number of segments that pass the box outside the boxes `but`. Also
+/// returns the number of inspected segments.
 fn passing(
     scene: Aabb,
     but: &[Aabb],
     segments: &[[Vec3; 2]],
     half: f32,
 ) -> (FxHashMap<[u32; 3], u32>, usize) {
-    // Also the last segment that passed.
+    // The value also stores the last segment that passed the box.
     let mut passed: FxHashMap<[u32; 3], (u32, usize)> = FxHashMap::default();
     let every = segments.len().div_ceil(LOOKED_AT).max(1);
     let looked_at = segments.iter().step_by(every);
     let count = looked_at.len();
     for (number, [a, b]) in looked_at.enumerate() {
-        // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
+        // Each step is at most half a box long. A segment that cuts a corner of a box may not count, which is
+        // harmless.
         let steps = ((*b - *a).length() / half).ceil().max(1.0) as u32;
         for step in 1..steps {
             let at = a.lerp(*b, step as f32 / steps as f32);
@@ -166,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_segment_passes_a_box_or_not() {
+    fn is_passed_tests_segment_against_box() {
         let unit = Opening {
             bounds: [[0.0; 3], [1.0; 3]],
         };
@@ -178,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_door_is_found_and_the_open_is_not() {
+    fn find_returns_door_but_nothing_in_open() {
         let scene = Aabb {
             min: Vec3::ZERO,
             max: Vec3::new(24.0, 4.0, 24.0),
@@ -187,12 +189,12 @@ mod tests {
             min: Vec3::new(20.0, 0.0, 10.0),
             max: Vec3::new(22.0, 2.0, 14.0),
         };
-        // All segments pass a door at x = 12, z = 11.5 to 12.5; or go straight.
+        // All segments pass a door at x = 12, z = 11.5 to 12.5, or go straight.
         let sights = |through: bool| -> Vec<Sights> {
             let from = |k: u32| {
                 let cell_min = Vec3::new(2.0, 0.0, 2.0 * k as f32 + 2.0);
                 let a = cell_min + 0.5;
-                // Others were tried, to all of the object past all of the wall.
+                // Other segments were tried, to all of the object past all of the wall.
                 let aside = (0..9u8).map(|n| [a, Vec3::new(21.0, 1.0, 2.2 * f32::from(n) + 1.0)]);
                 let blocked = if through { aside.collect() } else { Vec::new() };
                 let segments = (0..9u8).map(|n| {
@@ -224,9 +226,9 @@ mod tests {
         );
         assert!(min[2] <= 12.5 && max[2] >= 11.5, "{door:?}");
         assert_eq!(found(&sights(false)), None);
-        // In the open all segments come together in front of a small object; nothing else was tried.
+        // In the open, all segments converge in front of a small object, and no other segments were tried.
         let mut open = sights(true);
-        open.iter_mut().for_each(|of| of.blocked.clear());
+        open.iter_mut().for_each(|sights| sights.blocked.clear());
         assert_eq!(found(&open), None);
         assert_eq!(found(&sights(true)[..1]), None);
     }

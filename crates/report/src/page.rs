@@ -1,17 +1,18 @@
-//! The report as one HTML document without a program.
+//! The report as one HTML document without scripts.
 
 use std::fmt::Write as _;
 
 use sightline_formats::html::escaped;
 use sightline_measure::{Frame, Report};
+use sightline_numbers::ids::CellIndex;
 
 use crate::blame::Blame;
 use crate::budget::{Budget, OverBudget};
 use crate::plots::{cumulative, percent, scatter};
 
-/// Frames whose errors are below this are drawn at the left border: a pixel of the largest cubes.
+/// The smallest value of the logarithmic axes. Frames and cells with a lower error are at the left border.
 const LEAST: f64 = 1e-7;
-/// Cells that are listed.
+/// The maximum number of listed cells.
 const LISTED: usize = 60;
 
 const STYLE: &str = "
@@ -28,27 +29,28 @@ svg { width: 100%; max-width: 520px; font-size: 12px; fill: currentColor; }
 pre { white-space: pre-wrap; }
 ";
 
-/// What the document is about.
-pub struct About<'a> {
-    /// Its title.
+/// The contents of the document.
+pub struct PageHeader<'a> {
+    /// The title of the document.
     pub title: String,
     /// The summary of the result, line by line.
     pub summary: Vec<String>,
-    /// The error, with all frames.
+    /// The error of the result, with all frames.
     pub error: &'a Report,
     /// The worst frames with their pictures as PNG.
     pub frames: Vec<(Frame, Vec<u8>)>,
-    /// The number of triangles in each cell's set and the bound on its missed sight lines, where it has one.
+    /// The number of triangles in each cell's set, and the bound on the cell's missed sight lines if it is
+    /// known.
     pub cells: Vec<(u64, Option<f64>)>,
-    /// The budget.
+    /// The budget; `None` for a report without one.
     pub budget: Option<Budget>,
-    /// The cells over it, or those that draw most.
+    /// The cells that exceed the budget, or without a budget the cells that draw most.
     pub over: Vec<OverBudget>,
-    /// Who is to blame.
+    /// The objects and openings that are responsible for the costs.
     pub blame: Blame,
 }
 
-/// A point with few digits.
+/// Formats a point with at most two decimals.
 fn point(p: [f32; 3]) -> String {
     let [x, y, z] = p.map(|c| {
         let text = format!("{c:.2}");
@@ -77,8 +79,8 @@ fn table(out: &mut String, head: &[&str], rows: impl Iterator<Item = Vec<String>
     out.push_str("</tbody></table>");
 }
 
-/// The document. `base64` writes bytes as text.
-pub fn page(about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) -> String {
+/// Returns the document. `base64` encodes bytes as text.
+pub fn page(about: &PageHeader<'_>, base64: &dyn Fn(&[u8]) -> String) -> String {
     let mut out = format!(
         "<!doctype html><!-- sightline report --><html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{0}</title>\
@@ -94,14 +96,14 @@ pub fn page(about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) -> String {
     out
 }
 
-// Writing to a string cannot fail, so what `write!` returns is dropped.
+// Writing to a string cannot fail, so the results of `write!` are dropped.
 
-fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) {
+fn error(out: &mut String, about: &PageHeader<'_>, base64: &dyn Fn(&[u8]) -> String) {
     let e = about.error;
     let _ = write!(
         out,
-        "<h2>Error</h2><p>Wrong pixels from {} random viewpoints, all around, at {}×{} pixels a face: {} on \
-         average, {} at the 99th percentile, {} at most.</p><div class=\"plots\">",
+        "<h2>Error</h2><p>Fraction of wrong pixels from {} random viewpoints, in all directions, at {}×{} \
+         pixels per face: {} on average, {} at the 99th percentile, {} at most.</p><div class=\"plots\">",
         e.frames,
         e.resolution,
         e.resolution,
@@ -120,7 +122,7 @@ fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) 
         let name = "bound on missed sight lines of a cell";
         let _ = write!(out, "<figure>{}</figure>", cumulative(&bounds, LEAST, name));
     }
-    let size = |cell: u32| about.cells.get(cell as usize).map_or(0, |c| c.0) as f64;
+    let size = |cell: CellIndex| about.cells.get(cell.at()).map_or(0, |c| c.0) as f64;
     let points: Vec<[f64; 2]> = e
         .worst
         .iter()
@@ -146,8 +148,8 @@ fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) 
     for (frame, picture) in &about.frames {
         let _ = write!(
             out,
-            "<figure><img alt=\"\" src=\"data:image/png;base64,{}\"><figcaption>cell {} from {}: {} wrong, \
-             {} triangles missing</figcaption></figure>",
+            "<figure><img alt=\"\" src=\"data:image/png;base64,{}\"><figcaption>cell {} from {}: {} of the \
+             pixels wrong, {} triangles missing</figcaption></figure>",
             base64(picture),
             frame.cell,
             point(frame.viewpoint),
@@ -158,11 +160,11 @@ fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) 
     out.push_str("</div>");
 }
 
-fn budget(out: &mut String, about: &About<'_>) {
+fn budget(out: &mut String, about: &PageHeader<'_>) {
     match &about.budget {
         None => out.push_str(
-            "<h2>Costliest cells</h2><p>No budget was given: these cells draw most. --budget FILE lists the \
-             cells that draw more than they may.</p>",
+            "<h2>Costliest cells</h2><p>No budget was given, so these are the cells that draw the most \
+             triangles. --budget FILE lists the cells that exceed a budget.</p>",
         ),
         Some(budget) => {
             let limit = |n: Option<u64>, what: &str| n.map(|n| format!("{n} {what}"));
@@ -203,7 +205,7 @@ fn budget(out: &mut String, about: &About<'_>) {
         "triangles",
         "objects",
         "bytes",
-        "what costs most (triangles drawn)",
+        "costliest objects (drawn triangles)",
     ];
     table(out, &head, about.over.iter().take(LISTED).map(row));
 }
@@ -223,8 +225,8 @@ fn blame(out: &mut String, blame: &Blame) {
     } else {
         let _ = write!(
             out,
-            "<p>Boxes through which most cells see something that costs much, and the estimated part of all \
-             drawn triangles that closing them would save, from sampled segments.</p>"
+            "<p>Boxes through which most cells see a costly {what}, and the estimated fraction of all drawn \
+             triangles that are not drawn if the box is closed. The estimates come from sampled segments.</p>"
         );
         let row = |(number, closed): (usize, &crate::blame::Closed)| {
             let [min, max] = closed.opening.bounds;
@@ -235,21 +237,21 @@ fn blame(out: &mut String, blame: &Blame) {
                 closed.objects.to_string(),
             ]
         };
-        let head = ["opening", "box", "saves", "seen through it"];
+        let head = ["opening", "box", "saves", "objects seen through the box"];
         table(out, &head, blame.openings.iter().enumerate().map(row));
     }
-    let _ = write!(out, "<h2>Blame</h2><p>What costs most, by {what}s.</p><ul>");
+    let _ = write!(out, "<h2>Blame</h2><p>The costliest {what}s.</p><ul>");
     for object in &blame.objects {
         let through = object.through.map_or_else(String::new, |n| {
             format!(
-                " through opening {}; closing it saves {} in all",
+                " through opening {}; closing the opening saves {} of all drawn triangles",
                 n + 1,
                 percent(blame.openings.get(n).map_or(0.0, |o| o.saves))
             )
         });
         let _ = write!(
             out,
-            "<li><b>{}</b> is seen from {} cells and is {} of all that is drawn{through}</li>",
+            "<li><b>{}</b> is seen from {} cells and has {} of all drawn triangles{through}</li>",
             escaped(&object.name),
             object.cells,
             percent(object.share)

@@ -1,7 +1,7 @@
 //! Plots as SVG.
 //!
-//! Their texts have the colour of the page around them, light or dark. The crate plotters writes a fixed
-//! colour into every element, so this module writes the SVG itself.
+//! The texts of the plots have the colour of the surrounding page, light or dark. The crate plotters writes a
+//! fixed colour into every element, so this module writes the SVG itself.
 
 use std::fmt::Write as _;
 
@@ -10,8 +10,8 @@ const HIGH: f64 = 260.0;
 const LEFT: f64 = 64.0;
 const BOTTOM: f64 = 40.0;
 
-/// The fraction of values that are at most as great, over the values on a logarithmic axis. Zeros and what
-/// is below `least` stand at the left border.
+/// Plots, for each value on a logarithmic axis, the fraction of values that are at most as large. Values
+/// below `least`, including zeros, are at the left border.
 pub fn cumulative(values: &[f64], least: f64, name: &str) -> String {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| !x.is_nan()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -52,12 +52,12 @@ pub fn cumulative(values: &[f64], least: f64, name: &str) -> String {
     }
     framed(
         name,
-        "share of them",
+        "fraction of values",
         &format!("{marks}<path d=\"{path}\" fill=\"none\" stroke=\"#2f7ed8\" stroke-width=\"2\"/>"),
     )
 }
 
-/// Points on linear axes from 0.
+/// Plots points on linear axes from 0.
 pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
     let most = |k: usize| points.iter().map(|p| p[k]).fold(0.0, f64::max);
     let most = [most(0), most(1)].map(|m| if m > 0.0 { m } else { 1.0 });
@@ -89,7 +89,7 @@ pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
     )
 }
 
-/// A plot with its axes.
+/// Returns a plot with its axes.
 fn framed(x: &str, y: &str, inside: &str) -> String {
     format!(
         "<svg viewBox=\"0 0 {WIDE} {HIGH}\" role=\"img\"><path d=\"M{LEFT} 10V{0}H{1}\" fill=\"none\" \
@@ -103,7 +103,7 @@ fn framed(x: &str, y: &str, inside: &str) -> String {
     )
 }
 
-/// A fraction in percent, with few digits.
+/// Formats a fraction in percent, with few digits.
 pub fn percent(fraction: f64) -> String {
     let p = fraction * 100.0;
     match p {
@@ -118,7 +118,7 @@ pub fn percent(fraction: f64) -> String {
     }
 }
 
-/// A great number with few digits.
+/// Formats a number with few digits.
 fn short(x: f64) -> String {
     if x >= 1000.0 {
         format!("{x:.0}")
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn plots_of_nothing_and_of_zeros_are_plots() {
+    fn plots_of_no_values_and_zeros_are_valid() {
         assert_eq!(cumulative(&[], 1e-6, "x"), "");
         assert!(cumulative(&[0.0, f64::NAN], 1e-6, "x").contains("</svg>"));
         assert!(!scatter(&[[0.0, 0.0]], ["a", "b"]).contains("NaN"));

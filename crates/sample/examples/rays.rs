@@ -1,12 +1,12 @@
 //! Counts the rays of a bake by kind, by round and by the knowledge about a candidate. For the hits of
-//! held-out lines it counts the kinds of line that could have found them.
+//! held-out lines, the example counts the kinds of line that could have found the hit triangles.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sample --example rays -- SCENE 8x8x8 0.0003
 //! ```
 //!
-//! Samples the cells as one tile with the default sampler on the CPU, all triangles opaque, and prints tables
-//! in Markdown. Times are of all threads together.
+//! The example samples the cells as one tile with the default sampler on the CPU, with all triangles opaque,
+//! and prints tables in Markdown. Times are sums over all threads.
 
 #![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 
@@ -17,28 +17,28 @@ use std::time::{Duration, Instant};
 use rayon::prelude::*;
 use sightline_model::LineKind;
 use sightline_sample::Unwatched;
-use sightline_sample::crew::Alone;
-use sightline_sample::lines::block::{Block, Tools};
-use sightline_sample::lines::ledger::{Ledger, Try};
+use sightline_sample::crew::SoleMember;
+use sightline_sample::lines::block::{Block, BlockInputs};
+use sightline_sample::lines::observer::{Attempt, LineObserver};
 use sightline_sample::lines::rounds::Tolerance;
+use sightline_trace::cpu::CpuBackend;
 use sightline_trace::cube::{SKY, face_basis};
-use sightline_trace::embree::CpuBackend;
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
 use sightline_trace::sight::{Passed, SightLineTracer, least_step};
 use sightline_trace::surface::Surface;
-use sightline_trace::{Backend as _, CubeSpec, LineSet, Strata};
+use sightline_trace::{CubeSpec, LineSet, Strata, Tracer as _};
 
-/// Held-out lines of a cell.
+/// The number of held-out lines per cell.
 const HELD: u64 = 20_000;
-/// Name of the stream of their random numbers.
+/// The name of the stream of random numbers for held-out lines.
 const STREAM: u64 = 77;
 
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
 
-/// Lines of a kind in a round.
+/// The cost and the yield of lines of a kind in a round.
 #[derive(Clone, Copy, Default)]
 struct Spent {
     rays: u64,
@@ -46,31 +46,31 @@ struct Spent {
     time: Duration,
 }
 
-/// Tries at candidates of a class.
+/// The attempts at candidates of a class.
 #[derive(Clone, Copy, Default)]
 struct Tries {
     tries: u64,
     found: u64,
-    /// Parts of the sphere that were found.
+    /// The sum of the fractions of the sphere that the found triangles cover.
     gain: f64,
 }
 
-/// Tables of tries by a name of what they are classed by, and the class.
+/// Tables of attempts, by the name of the criterion and the class.
 type Classes = BTreeMap<(&'static str, u32), Tries>;
 
 struct Account {
     of_tries: bool,
     spent: Mutex<BTreeMap<(u32, usize), Spent>>,
     classes: Mutex<Classes>,
-    /// For each cell, how often a triangle was tried.
+    /// For each cell, the number of attempts at each triangle.
     tried: Vec<Mutex<BTreeMap<u32, u32>>>,
 }
 
-fn locked<T>(of: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
+fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Ledger for Account {
+impl LineObserver for Account {
     fn spent(&self, round: u32, kind: LineKind, rays: u64, finds: u64, time: Duration) {
         let mut all = locked(&self.spent);
         let totals = all.entry((round, kind as usize)).or_default();
@@ -78,34 +78,34 @@ impl Ledger for Account {
             (totals.rays + rays, totals.finds + finds, totals.time + time);
     }
 
-    fn wants_tries(&self) -> bool {
+    fn wants_attempts(&self) -> bool {
         self.of_tries
     }
 
-    fn tried(&self, _: u32, of: Try) {
+    fn attempted(&self, _: u32, attempt: Attempt) {
         let before = {
-            let mut tried = locked(&self.tried[of.cell]);
-            let count = tried.entry(of.triangle).or_default();
+            let mut tried = locked(&self.tried[attempt.cell]);
+            let count = tried.entry(attempt.triangle.0).or_default();
             *count += 1;
             *count - 1
         };
-        let decade = (-of.part.log10()).floor().clamp(0.0, 8.0) as u32;
+        let decade = (-attempt.part.log10()).floor().clamp(0.0, 8.0) as u32;
         let mut all = locked(&self.classes);
         for class in [
             ("decade of the part of the sphere", decade),
-            ("faces through which a neighbour sees it", of.faces),
-            ("triangles beside it that the cell sees", of.beside),
+            ("faces through which a neighbour sees it", attempt.faces),
+            ("triangles beside it that the cell sees", attempt.beside),
             ("tries before, in all rounds", before.min(9)),
             (
                 "faces, and tries before (10 × faces + tries)",
-                10 * of.faces + before.min(9),
+                10 * attempt.faces + before.min(9),
             ),
         ] {
             let sum = all.entry(class).or_default();
             sum.tries += 1;
-            if of.found {
+            if attempt.found {
                 sum.found += 1;
-                sum.gain += f64::from(of.part);
+                sum.gain += f64::from(attempt.part);
             }
         }
     }
@@ -118,7 +118,10 @@ fn main() -> Answer<()> {
     };
     let scene = Arc::new(sightline_scene::load(scene.as_ref())?);
     let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
-    let cells: [u32; 3] = cells.try_into().map_err(|_| "give cells as 8x8x8")?;
+    let cells: [u32; 3] = cells.try_into().map_err(|_| {
+        "give the numbers of cells along x, y and z, such \
+     as 8x8x8"
+    })?;
     let target: f64 = target.parse()?;
 
     let spec = CubeSpec {
@@ -131,11 +134,11 @@ fn main() -> Answer<()> {
         .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
         .collect();
     let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all)?);
-    let (surface, rows) = (Surface::of(&scene, &all), Rows::triangles(&scene));
+    let (surface, rows) = (Surface::new(&scene, &all), Rows::triangles(&scene));
     let bounds = scene.bounds();
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    // Twice: keeping account of every try takes longer than the tries.
+    // The block is sampled twice, because recording every attempt costs more time than the attempts.
     for of_tries in [false, true] {
         let grid = CellGrid::new(bounds.min, bounds.max, cells);
         let account = Account {
@@ -144,7 +147,7 @@ fn main() -> Answer<()> {
             classes: Mutex::default(),
             tried: (0..grid.count()).map(|_| Mutex::default()).collect(),
         };
-        let tools = Tools {
+        let inputs = BlockInputs {
             scene: &scene,
             surface: &surface,
             rows: &rows,
@@ -153,16 +156,16 @@ fn main() -> Answer<()> {
             watcher: &Unwatched,
             deadline: None,
             pairs: None,
-            places: None,
-            crew: &Alone,
-            ledger: Some(&account),
+            region: None,
+            crew: &SoleMember,
+            observer: Some(&account),
         };
-        let mut block = Block::new(tools, grid, number, |_| u64::MAX);
+        let mut block = Block::new(inputs, grid, number, |_| u64::MAX);
         let start = Instant::now();
         block.sample(target, &[], Tolerance::Raised)?;
         if of_tries {
             print_classes(&locked(&account.classes));
-            print_missed(&block, (&scene, &sight, &surface), &account)?;
+            print_missed(&block, &scene, &sight, &surface, &account)?;
         } else {
             let (triangles, cells, seconds) = (
                 scene.len(),
@@ -218,19 +221,23 @@ fn print_classes(classes: &Classes) {
     println!();
 }
 
-/// What is known of a triangle that a held-out line has met: through how many faces neighbours see it, how
-/// many triangles beside it are seen, how often it was tried.
+/// The facts about a triangle that a held-out line met.
+///
+/// The array contains the number of faces through which neighbouring cells see the triangle, the number of
+/// the triangle's seen neighbours, and the number of attempts at the triangle.
 type Missed = [u32; 3];
 
 fn print_missed(
     block: &Block<'_>,
-    (scene, sight, surface): (&sightline_scene::Scene, &SightLineTracer<'_>, &Surface),
+    scene: &sightline_scene::Scene,
+    sight: &SightLineTracer<'_>,
+    surface: &Surface,
     account: &Account,
 ) -> Answer<()> {
     let grid = block.grid();
     let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();
-    let found: Result<Vec<BTreeMap<Missed, u64>>, sightline_trace::BackendError> = cells
+    let found: Result<Vec<BTreeMap<Missed, u64>>, sightline_trace::TracerError> = cells
         .par_iter()
         .enumerate()
         .map(|(cell, at)| {
@@ -286,7 +293,7 @@ fn print_missed(
     found?
         .into_iter()
         .flatten()
-        .for_each(|(of, n)| *all.entry(of).or_default() += n);
+        .for_each(|(key, n)| *all.entry(key).or_default() += n);
     let sum: u64 = all.values().sum();
     let lines = HELD * cells.len() as u64;
     println!(
@@ -304,7 +311,7 @@ fn print_missed(
         println!("\n| {by} | of what was missed |\n|--:|--:|");
         let mut by_class: BTreeMap<u32, u64> = BTreeMap::new();
         all.iter()
-            .for_each(|(of, n)| *by_class.entry(of[k]).or_default() += n);
+            .for_each(|(key, n)| *by_class.entry(key[k]).or_default() += n);
         for (class, n) in by_class {
             println!(
                 "| {class} | {:.1} % |",
@@ -312,31 +319,31 @@ fn print_missed(
             );
         }
     }
-    let candidates = |of: &Missed| of[0] > 0 && of[1] > 0;
+    let candidates = |missed: &Missed| missed[0] > 0 && missed[1] > 0;
     let share = |test: &dyn Fn(&Missed) -> bool| {
         100.0
             * all
                 .iter()
-                .filter(|(of, _)| test(of))
+                .filter(|(key, _)| test(key))
                 .map(|(_, n)| n)
                 .sum::<u64>() as f64
             / sum.max(1) as f64
     };
     println!(
         "\ncandidates that were tried: {:.1} %",
-        share(&|of| of[2] > 0)
+        share(&|missed| missed[2] > 0)
     );
     println!(
         "candidates that were not tried: {:.1} %",
-        share(&|of| candidates(of) && of[2] == 0)
+        share(&|missed| candidates(missed) && missed[2] == 0)
     );
     println!(
         "seen by a neighbour, and next to nothing that is seen: {:.1} %",
-        share(&|of| of[0] > 0 && of[1] == 0 && of[2] == 0)
+        share(&|missed| missed[0] > 0 && missed[1] == 0 && missed[2] == 0)
     );
     println!(
         "next to what is seen, and seen by no neighbour: {:.1} %",
-        share(&|of| of[0] == 0 && of[1] > 0 && of[2] == 0)
+        share(&|missed| missed[0] == 0 && missed[1] > 0 && missed[2] == 0)
     );
     Ok(())
 }

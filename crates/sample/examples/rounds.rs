@@ -1,18 +1,19 @@
-//! Whole rounds of sight lines on the device, compared with those on the CPU: time, rays, error and bytes
+//! Compares whole rounds of sight lines on the device with rounds on the CPU: time, rays, error and bytes
 //! over the bus.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sample --example rounds -- SCENE 8x8x8 0.003 0.0003
 //! ```
 //!
-//! Samples the cells as one tile with the default sampler, all triangles opaque, first with Embree on all
-//! threads, then on the best adapter, and prints a table in Markdown. Seconds are for the rounds only:
-//! scene, hierarchy and kernels are ready before. The error is the part of 2000 held-out lines from each cell
-//! that meet a triangle which the cell lacks, traced by the same backend. The last column has how often the
-//! host waited for the device, and the seconds of that.
+//! The example samples the cells as one tile with the default sampler and all triangles opaque, first with
+//! the cpu backend on all threads, then on the best adapter. It prints a table in Markdown. Seconds are only
+//! for the rounds: scene, hierarchy and kernels are ready before. The error is the fraction of 2000 held-out
+//! lines from each cell that meet a triangle that the cell lacks, traced by the same backend. The last column
+//! has the number of times that the host waited for the device, and the seconds of waiting.
 //!
-//! `--adapter NAME` takes another adapter; `--no-cpu` and `--no-gpu` leave one of the two out. `--profile`
-//! adds the time of each kernel, which lengthens the rounds. `--pace` sets the four numbers of [`Pace`].
+//! `--adapter NAME` selects another adapter; `--no-cpu` and `--no-gpu` skip one of the two, and `--embree`
+//! adds Embree. `--profile` adds the time of each kernel, which lengthens the rounds. `--pace` sets the four
+//! numbers of [`LinePacing`].
 
 #![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 
@@ -21,12 +22,13 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use sightline_sample::Unwatched;
-use sightline_sample::crew::Alone;
-use sightline_sample::lines::block::{Block, Tools};
-use sightline_sample::lines::rounds::{Pace, Tolerance};
+use sightline_sample::crew::SoleMember;
+use sightline_sample::lines::block::{Block, BlockInputs};
+use sightline_sample::lines::rounds::{LinePacing, Tolerance};
 use sightline_scene::Scene;
+use sightline_trace::cpu::CpuBackend;
 use sightline_trace::cube::{SKY, face_basis};
-use sightline_trace::embree::CpuBackend;
+use sightline_trace::embree::EmbreeBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::packet::{LANES, Packet};
@@ -34,25 +36,25 @@ use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
 use sightline_trace::sight::{Passed, SightLineTracer, least_step};
 use sightline_trace::surface::Surface;
-use sightline_trace::{Backend, CubeSpec, LineSet, Strata};
+use sightline_trace::{CubeSpec, LineSet, Strata, Tracer};
 
-/// Held-out lines of a cell.
+/// The number of held-out lines per cell.
 const HELD: usize = 2000;
-/// Name of the stream of their random numbers.
+/// The name of the stream of random numbers for held-out lines.
 const STREAM: u64 = 77;
 
-const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--profile] \
+const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--embree] [--profile] \
                      [--pace FIRST,COARSE,GROWTH,AIMED] SCENE NXxNYxNZ TARGET...";
 
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
 
-/// A pace of four numbers.
-fn paced(text: &str) -> Answer<Pace> {
+/// Parses the four numbers of a [`LinePacing`]: first, first_coarse, growth, aimed.
+fn paced(text: &str) -> Answer<LinePacing> {
     let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
     let [first, coarse, growth, aimed] = numbers[..] else {
         return Err("--pace needs four numbers".into());
     };
-    Ok(Pace {
+    Ok(LinePacing {
         first: first as u32,
         first_coarse: coarse as u32,
         growth,
@@ -62,7 +64,7 @@ fn paced(text: &str) -> Answer<Pace> {
 
 fn main() -> Answer<()> {
     let mut choice = AdapterChoice::AllowSoftware;
-    let (mut with_cpu, mut with_gpu) = (true, true);
+    let (mut with_cpu, mut with_gpu, mut with_embree) = (true, true, false);
     let (mut profile, mut pace, mut rest) = (false, None, Vec::new());
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
@@ -72,6 +74,7 @@ fn main() -> Answer<()> {
             }
             "--no-cpu" => with_cpu = false,
             "--no-gpu" => with_gpu = false,
+            "--embree" => with_embree = true,
             "--profile" => profile = true,
             "--pace" => {
                 pace = Some(paced(
@@ -86,7 +89,10 @@ fn main() -> Answer<()> {
     };
     let scene = Arc::new(sightline_scene::load(scene.as_ref())?);
     let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
-    let cells: [u32; 3] = cells.try_into().map_err(|_| "give cells as 8x8x8")?;
+    let cells: [u32; 3] = cells.try_into().map_err(|_| {
+        "give the numbers of cells along x, y and z, such \
+     as 8x8x8"
+    })?;
     let spec = CubeSpec {
         resolution: 8,
         strata: Strata::One,
@@ -95,7 +101,7 @@ fn main() -> Answer<()> {
     let all: Vec<u32> = (0..scene.len())
         .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
         .collect();
-    let surface = Surface::of(&scene, &all);
+    let surface = Surface::new(&scene, &all);
     println!(
         "{} triangles, {} cells\n",
         scene.len(),
@@ -103,12 +109,15 @@ fn main() -> Answer<()> {
     );
     println!(
         "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | \
-         bytes a ray up, down | waits |"
+         bytes per ray up, down | waits |"
     );
     println!("|---|--:|--:|--:|--:|---|--:|--:|--:|");
-    let mut backends: Vec<Box<dyn Backend>> = Vec::new();
+    let mut backends: Vec<Box<dyn Tracer>> = Vec::new();
     if with_cpu {
         backends.push(Box::new(CpuBackend::new(Arc::clone(&scene), spec)?));
+    }
+    if with_embree {
+        backends.push(Box::new(EmbreeBackend::new(Arc::clone(&scene), spec)?));
     }
     if with_gpu {
         let start = Instant::now();
@@ -123,7 +132,7 @@ fn main() -> Answer<()> {
         let start = Instant::now();
         let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all)?);
         let built = start.elapsed().as_secs_f64();
-        // Once without use: a device compiles and allocates at first.
+        // The first run is not timed, because a device compiles and allocates at its first use.
         sample(&scene, &surface, &sight, [2; 3], 0.1, None)?;
         println!(
             "| {} | | {built:.3} hierarchy, {:.3} to be ready | | | | | | |",
@@ -134,7 +143,8 @@ fn main() -> Answer<()> {
             line(
                 &scene,
                 &surface,
-                (&**backend, &sight),
+                &**backend,
+                &sight,
                 cells,
                 target.parse()?,
                 pace,
@@ -144,20 +154,20 @@ fn main() -> Answer<()> {
     Ok(())
 }
 
-/// A block's results: seconds, rays by kind, error, and what went over the bus.
+/// Computes one block and returns its results: seconds, rays by kind, error, and traffic over the bus.
 fn sample(
     scene: &Scene,
     surface: &Surface,
     sight: &SightLineTracer<'_>,
     cells: [u32; 3],
     target: f64,
-    pace: Option<Pace>,
+    pace: Option<LinePacing>,
 ) -> Answer<(f64, [u64; 4], f64, String)> {
     let rows = Rows::triangles(scene);
     let bounds = scene.bounds();
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    let tools = Tools {
+    let inputs = BlockInputs {
         scene,
         surface,
         rows: &rows,
@@ -166,13 +176,13 @@ fn sample(
         watcher: &Unwatched,
         deadline: None,
         pairs: None,
-        places: None,
-        crew: &Alone,
-        ledger: None,
+        region: None,
+        crew: &SoleMember,
+        observer: None,
     };
     let start = Instant::now();
     let mut block = Block::new(
-        tools,
+        inputs,
         CellGrid::new(bounds.min, bounds.max, cells),
         number,
         |_| u64::MAX,
@@ -215,10 +225,11 @@ fn sample(
 fn line(
     scene: &Scene,
     surface: &Surface,
-    (backend, sight): (&dyn Backend, &SightLineTracer<'_>),
+    backend: &dyn Tracer,
+    sight: &SightLineTracer<'_>,
     cells: [u32; 3],
     target: f64,
-    pace: Option<Pace>,
+    pace: Option<LinePacing>,
 ) -> Answer<()> {
     let (seconds, rays, error, bus) = sample(scene, surface, sight, cells, target, pace)?;
     let kind = backend.profile().split('/').next().unwrap_or_default();
@@ -233,12 +244,12 @@ fn line(
     Ok(())
 }
 
-/// The part of held-out lines that meet what their cell lacks.
+/// Returns the fraction of held-out lines that meet a triangle that their cell lacks.
 fn error(block: &Block<'_>, scene: &Scene, sight: &SightLineTracer<'_>) -> Answer<f64> {
     let grid = block.grid();
     let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();
-    let misses: Result<Vec<u64>, sightline_trace::BackendError> = cells
+    let misses: Result<Vec<u64>, sightline_trace::TracerError> = cells
         .par_chunks(16)
         .map(|some| {
             let (mut packets, mut passed) = (Vec::new(), Passed::default());

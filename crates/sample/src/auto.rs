@@ -1,35 +1,36 @@
-//! Times the backends on a few cubes, a few cells or a few rays of a scene, to choose the faster backend.
+//! The choice of the faster backend: each backend is timed on a few cubes, cells or rays of a scene.
 
 use std::time::{Duration, Instant};
 
 use sightline_model::Granularity;
-use sightline_trace::BackendError;
 use sightline_trace::PreparedScene;
+use sightline_trace::TracerError;
 use sightline_trace::cube::face_basis;
 use sightline_trace::lines::grid::CellGrid;
-use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::packet::{Halves, LANES, Packet};
 use sightline_trace::sight::SightLineTracer;
-use sightline_trace::{Backend, LineSet};
+use sightline_trace::{LineSet, Tracer};
 use sightline_viewcells::Lattice;
 
 use crate::context::{TileError, Unwatched};
-use crate::crew::Alone;
-use crate::lines::block::{Block, Tools};
+use crate::crew::SoleMember;
+use crate::lines::block::{Block, BlockInputs};
 use crate::lines::rounds::Tolerance;
 
-/// Cubes timed with each backend, after one cube to warm up.
+/// The number of cubes timed with each backend, after one cube to warm up.
 const CUBES: u32 = 8;
 
-/// The time that a backend takes for a cube, or for something else that is the same for all backends.
+/// The time that a backend needs for a unit of work: a cube in [`time`] and [`time_lines`], a cell in
+/// [`time_rounds`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
     /// The backend's numerics profile.
     pub profile: String,
-    /// Mean over a batch.
+    /// The mean time per cube or cell.
     pub per_cube: Duration,
 }
 
-/// Points spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
+/// Returns points spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
 /// dimensions).
 fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     let units = lattice.units();
@@ -43,12 +44,12 @@ fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     })
 }
 
-/// Times `backend` at fixed points spread over the view box. The time excludes building the geometry, which
-/// happens once.
+/// Times `backend` on cubes at fixed points spread over the view box. The time excludes building the
+/// geometry, which happens once.
 ///
 /// # Errors
-/// The backend's own failure.
-pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendError> {
+/// [`TracerError`] if the backend fails.
+pub fn time(backend: &dyn Tracer, lattice: &Lattice) -> Result<Timing, TracerError> {
     let renderer = backend.prepare(None)?;
     let points: Vec<_> = places(lattice).take(CUBES as usize).collect();
     renderer.samples(&points[..1])?;
@@ -60,19 +61,20 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     })
 }
 
-/// Times `backend` on rounds of sight lines, as the sampler casts them, from a few cells that fill the view
-/// box. The time excludes building the hierarchy and compiling kernels, which happens once.
+/// Times `backend` on rounds of sight lines, as the sampler casts them, from 64 cells that fill the view box.
+///
+/// The time excludes building the hierarchy and compiling kernels, which happens once.
 ///
 /// # Errors
-/// [`TileError::Backend`] with the backend's own failure.
+/// [`TileError::Backend`] if the backend fails.
 pub fn time_rounds(
-    backend: &dyn Backend,
+    backend: &dyn Tracer,
     scene: &PreparedScene,
     lattice: &Lattice,
 ) -> Result<Timing, TileError> {
-    /// Cells along each axis.
+    /// The number of cells along each axis.
     const CELLS: [u32; 3] = [4; 3];
-    /// A coarse target to warm up with, and the one that is timed.
+    /// The target errors: a coarse target to warm up with, and the target that is timed.
     const TARGETS: [f64; 2] = [0.1, 0.01];
     let (facts, sight) = (
         scene.for_lines(),
@@ -81,7 +83,7 @@ pub fn time_rounds(
     let (min, max) = (lattice.position([0; 3]), lattice.position(lattice.units()));
     let mut taken = Duration::ZERO;
     for target in TARGETS {
-        let tools = Tools {
+        let inputs = BlockInputs {
             scene: facts.scene,
             surface: facts.surface,
             rows: scene.fine_rows(Granularity::Triangles),
@@ -90,12 +92,12 @@ pub fn time_rounds(
             watcher: &Unwatched,
             deadline: None,
             pairs: None,
-            places: None,
-            crew: &Alone,
-            ledger: None,
+            region: None,
+            crew: &SoleMember,
+            observer: None,
         };
         let number = |[x, y, z]: [u32; 3]| u64::from((z * CELLS[1] + y) * CELLS[0] + x);
-        let mut block = Block::new(tools, CellGrid::new(min, max, CELLS), number, |_| u64::MAX);
+        let mut block = Block::new(inputs, CellGrid::new(min, max, CELLS), number, |_| u64::MAX);
         let start = Instant::now();
         block.sample(target, &[], Tolerance::Raised)?;
         taken = start.elapsed();
@@ -110,12 +112,12 @@ pub fn time_rounds(
 /// traced ray by ray. A cube has as many lines as an item buffer cube with faces of 64² pixels.
 ///
 /// # Errors
-/// As [`time`].
+/// [`TracerError`] if the backend fails.
 pub fn time_lines(
-    backend: &dyn Backend,
+    backend: &dyn Tracer,
     distinct: &[u32],
     lattice: &Lattice,
-) -> Result<Timing, BackendError> {
+) -> Result<Timing, TracerError> {
     const SIDE: u32 = 16;
     let tracer = backend.lines(LineSet::Blocking, distinct)?;
     let mut packets = Vec::new();
@@ -136,12 +138,16 @@ pub fn time_lines(
             }
         }
     }
-    // Half as uniform lines, half as aimed lines: about the proportion in sampling.
+    // Half of the packets are traced like uniform lines and half like aimed lines, which is about the
+    // proportion in sampling.
     let half = packets.len() / 2;
     let mut both = || {
+        packets
+            .iter_mut()
+            .for_each(|p| p.distance = [f32::INFINITY; LANES]);
         let (packets, singly) = packets.split_at_mut(half);
-        tracer.trace(packets)?;
-        tracer.trace_each(singly)
+        tracer.trace(packets, Halves::Rays, true)?;
+        tracer.trace(singly, Halves::Rays, false)
     };
     both()?;
     let start = Instant::now();

@@ -9,8 +9,8 @@ use sightline_viewcells::{Division, Lattice, PartMask};
 
 use crate::crew::Crew;
 pub use crate::error::TileError;
-use sightline_trace::Backend;
 use sightline_trace::PreparedScene;
+use sightline_trace::Tracer;
 use sightline_trace::rows::Rows;
 
 /// The sampler of a tile: the sampler of the job without its cells. A tile of a box has other cells than its
@@ -30,10 +30,10 @@ pub enum LineSampler {
     Shared {
         /// The expected fraction of missed sight lines at which a cell is finished.
         error: f64,
-        /// The second condition of a finished cell.
+        /// The condition that a finished cell meets in addition to `error`.
         stop: Stop,
     },
-    /// Guided rays of each cell, which no other cell shares.
+    /// Guided rays of each cell, which cells do not share.
     Guided {
         /// The number of rays of each cell.
         rays: u64,
@@ -71,34 +71,35 @@ pub struct JobContext<'a> {
     pub sampler: TileSampler,
     /// The items that the sets list.
     pub items: Granularity,
-    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    /// The distance from the viewpoint at which sight lines end, in the scene's units; `None` for unlimited
+    /// sight.
     pub far: Option<f64>,
-    /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
+    /// The parts of a grid's cells that contain viewpoints; `None` if viewpoints are everywhere.
     pub viewpoints: Option<&'a PartMask>,
-    /// The region that holds all viewpoints; `None` when they are not restricted to one.
-    pub places: Option<&'a dyn ViewRegion>,
-    /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
+    /// The region that contains all viewpoints; `None` if viewpoints are not restricted to a region.
+    pub region: Option<&'a dyn ViewRegion>,
+    /// The grid over which pairs of cells are searched; `None` if the job does not request pairs.
     pub pairs: Option<[u32; 3]>,
     /// The backend that traces and renders.
-    pub backend: &'a dyn Backend,
-    /// Seed of all random numbers.
+    pub backend: &'a dyn Tracer,
+    /// The seed of all random numbers.
     pub seed: u64,
-    /// When sampling stops with the sets found by then; the sampler cubes ignores it.
+    /// The time at which sampling stops with the sets found so far. The sampler cubes ignores it.
     pub deadline: Option<Instant>,
-    /// Those who share the phases of a block; the sampler cubes works alone.
+    /// The crew that shares the phases of a block. The sampler cubes does not use it.
     pub crew: &'a dyn Crew,
 }
 
 impl JobContext<'_> {
-    /// Whether sampling has to stop.
+    /// Returns true if the deadline has passed, so that sampling has to stop.
     pub fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Returns the rows of the table: items in a job with a least share, otherwise triangles.
+    /// Returns the rows of the table: items in a job with a minimum share, otherwise triangles.
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see [`PreparedScene`]).
+    /// Panics on a thread of rayon's pool (see [`PreparedScene`]).
     pub fn rows(&self) -> &Rows {
         match self.sampler {
             TileSampler::Lines(LineSampler::Shared {
@@ -110,28 +111,30 @@ impl JobContext<'_> {
     }
 }
 
-/// The region that holds all viewpoints. Free segments that begin in it do not leave it, so only the origins
-/// of lines are asked about.
+/// A region that contains all viewpoints. Free segments that begin in the region do not leave it, so samplers
+/// query only the origins of lines.
 pub trait ViewRegion: Sync {
-    /// Whether a viewpoint can be at a point.
+    /// Returns true if a viewpoint can be at `point`.
     fn hold(&self, point: Vec3) -> bool;
-    /// A point of the region in a box; `None` when there is none, or single precision has none.
-    fn any_in(&self, of: Aabb) -> Option<Vec3>;
-    /// Whether a triangle has an area in common with the closed region within a closed box.
+    /// Returns a point of the region in the box `bounds`, or `None` if the common part contains no point with
+    /// single-precision coordinates.
+    fn any_in(&self, bounds: Aabb) -> Option<Vec3>;
+    /// Returns true if a part of `triangle` with a positive area is in the closed region and in the closed
+    /// box `within`.
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool;
 }
 
-/// Receives the progress of a tile and can cancel it.
+/// A receiver of the progress of a tile, which can cancel the tile.
 pub trait Watcher: Sync {
-    /// `samples` more cubes were rendered, or rays traced.
+    /// Reports that `samples` more cubes were rendered, or rays traced.
     fn rendered(&self, samples: u64);
-    /// One more cell is finished.
+    /// Reports that one more cell is finished.
     fn cell_done(&self);
-    /// Whether the tile should stop.
+    /// Returns true if the tile should stop.
     fn cancelled(&self) -> bool;
 }
 
-/// Work that nobody watches: measurements and tests.
+/// A `Watcher` that ignores progress, for benchmarks and tests.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unwatched;
 

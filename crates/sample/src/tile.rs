@@ -1,7 +1,8 @@
-//! Samples one tile with the sampler of its job: the dispatcher above [`crate::lines`] and `crate::cubes`.
+//! The sampling of one tile with the sampler of its job: the dispatcher above [`crate::lines`] and
+//! `crate::cubes`.
 //!
 //! A tile's output is a pure function of the scene, the parameters, the backend's numerics profile and the
-//! packs of the tiles it needs.
+//! packs of the tiles that it needs.
 
 use sightline_model::{Pack, TileOutput};
 use sightline_viewcells::Tile;
@@ -11,22 +12,22 @@ use crate::cubes::cache::CacheCounters;
 use crate::cubes::tile::CubeCounters;
 use crate::{cubes, lines};
 
-/// The work of a tile, for reports.
+/// The counters of the work of a tile, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TileCounters {
-    /// Cubes rendered, or rays traced.
+    /// The number of rendered cubes, or of traced rays.
     pub rendered: u64,
-    /// The counters of the sample cache; only cubes have one.
+    /// The counters of the sample cache; zero unless the sampler is cubes.
     pub cache: CacheCounters,
 }
 
-/// Runs `tile` with the packs of the tiles it needs, in the plan's order.
+/// Computes `tile` with the packs of the tiles that it needs, in the plan's order.
 ///
 /// # Errors
-/// [`TileError`] when the tile is cancelled or the backend fails.
+/// [`TileError`] if the tile is cancelled or the backend fails.
 ///
 /// # Panics
-/// On a thread of rayon's pool, which could wait for itself.
+/// Panics on a thread of rayon's pool, because the thread could wait for itself.
 pub fn run(
     job: &JobContext<'_>,
     tile: &Tile,

@@ -1,7 +1,7 @@
-//! Rounds of sight lines on the device: the same on every run and for every member of a crew, sound, complete
-//! where that can be known, and bounded as promised.
+//! Tests of rounds of sight lines on the device. They are equal in every run and for every member of a crew,
+//! sound, complete where completeness is known, and bounded as promised.
 //!
-//! Without a Vulkan adapter the tests say so in one line; where CI is set they fail.
+//! Without a Vulkan adapter the tests print one line and pass; under `CI` they fail.
 
 #![allow(
     clippy::unwrap_used,
@@ -14,19 +14,19 @@ use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
 use sightline_model::{CellSets, CellStats, Granularity, LineKind, PairTable, Stop, TileOutput};
-use sightline_sample::crew::{Alone, Crew, FromLeader, Leader, ToLeader};
-use sightline_sample::lines::block::{Block, Tools};
+use sightline_sample::crew::{Crew, FromLeader, Leader, SoleMember, ToLeader};
+use sightline_sample::lines::block::{Block, BlockInputs};
 use sightline_sample::lines::rounds::Tolerance;
 use sightline_sample::{JobContext, LineSampler, TileSampler, Unwatched, tile};
-use sightline_scene::generate::{self, Kind, Params};
+use sightline_scene::generate::{self, SceneKind, SceneParams};
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_trace::embree::CpuBackend;
+use sightline_trace::cpu::CpuBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::rows::Rows;
 use sightline_trace::sight::SightLineTracer;
 use sightline_trace::surface::Surface;
-use sightline_trace::{Backend, BackendError, CubeSpec, LineSet, PreparedScene, Strata};
+use sightline_trace::{CubeSpec, LineSet, PreparedScene, Strata, Tracer, TracerError};
 use sightline_viewcells::{Division, Layout, Plan};
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
@@ -37,7 +37,7 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     };
     match GpuBackend::new(Arc::clone(scene), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");
             None
         }
@@ -46,14 +46,14 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
 }
 
 fn rooms(triangles: u64) -> Arc<Scene> {
-    let params = Params {
+    let params = SceneParams {
         triangles: Some(triangles),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    Arc::new(generate::generate(Kind::Rooms, &params).unwrap())
+    Arc::new(generate::generate(SceneKind::Rooms, &params).unwrap())
 }
 
-/// A box whose sides are n×n squares of two triangles each.
+/// Returns a box whose sides are n×n squares of two triangles each.
 fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<Triangle> {
     let mut out = Vec::new();
     let at = |a: usize, i: u32| {
@@ -97,7 +97,7 @@ fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
 
 fn with_block<R>(
     scene: &Arc<Scene>,
-    backend: &dyn Backend,
+    backend: &dyn Tracer,
     place: ([Vec3; 2], [u32; 3]),
     crew: &dyn Crew,
     f: impl FnOnce(&mut Block<'_>) -> R,
@@ -106,24 +106,29 @@ fn with_block<R>(
         scene,
         backend,
         place,
-        (crew, &Rows::triangles(scene), u64::MAX),
+        crew,
+        &Rows::triangles(scene),
+        u64::MAX,
         f,
     )
 }
 
 fn with_rows<R>(
     scene: &Arc<Scene>,
-    backend: &dyn Backend,
-    (view, cells): ([Vec3; 2], [u32; 3]),
-    (crew, rows, parts): (&dyn Crew, &Rows, u64),
+    backend: &dyn Tracer,
+    grid: ([Vec3; 2], [u32; 3]),
+    crew: &dyn Crew,
+    rows: &Rows,
+    parts: u64,
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
+    let (view, cells) = grid;
     let all: Vec<u32> = (0..scene.len())
         .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
         .collect();
     let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all).unwrap());
-    let surface = Surface::of(scene, &all);
-    let tools = Tools {
+    let surface = Surface::new(scene, &all);
+    let inputs = BlockInputs {
         scene,
         surface: &surface,
         rows,
@@ -132,14 +137,14 @@ fn with_rows<R>(
         watcher: &Unwatched,
         deadline: None,
         pairs: None,
-        places: None,
+        region: None,
         crew,
-        ledger: None,
+        observer: None,
     };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
     f(&mut Block::new(
-        tools,
+        inputs,
         CellGrid::new(view[0], view[1], cells),
         number,
         |_| parts,
@@ -156,7 +161,7 @@ fn result(block: &Block<'_>) -> Result {
 }
 
 #[test]
-fn every_run_gives_the_same_and_all_kinds_of_lines_find_something() {
+fn runs_are_equal_and_all_kinds_of_lines_find_triangles() {
     let scene = rooms(3000);
     let Some(backend) = backend(&scene) else {
         return;
@@ -167,7 +172,7 @@ fn every_run_gives_the_same_and_all_kinds_of_lines_find_something() {
             &scene,
             &backend,
             ([b.min, b.max], [5, 3, 2]),
-            &Alone,
+            &SoleMember,
             |block| {
                 block.sample_before_bound(1.0, 0.01).unwrap();
                 block.sample_to_bound(1.0, 0.01).unwrap();
@@ -197,7 +202,7 @@ fn every_run_gives_the_same_and_all_kinds_of_lines_find_something() {
 }
 
 #[test]
-fn a_convex_room_is_seen_whole_and_nothing_outside_of_it() {
+fn convex_room_is_fully_visible_and_outside_is_not() {
     let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 12);
     let inside = triangles.len();
     triangles.extend(tessellated_box(Vec3::splat(-4.0), Vec3::splat(4.0), 5));
@@ -206,7 +211,7 @@ fn a_convex_room_is_seen_whole_and_nothing_outside_of_it() {
         return;
     };
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
-    with_block(&scene, &backend, view, &Alone, |block| {
+    with_block(&scene, &backend, view, &SoleMember, |block| {
         block.sample(1e-5, &[], Tolerance::Equal).unwrap();
         let (sets, _) = result(block);
         for c in block.grid().each() {
@@ -221,7 +226,7 @@ fn a_convex_room_is_seen_whole_and_nothing_outside_of_it() {
 }
 
 #[test]
-fn objects_are_seen_where_one_of_their_triangles_is() {
+fn objects_are_seen_with_any_of_their_triangles() {
     // The sides of the boxes are objects.
     let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 12);
     let inside = triangles.len() as u32 / 6;
@@ -242,23 +247,31 @@ fn objects_are_seen_where_one_of_their_triangles_is() {
     };
     let rows = Rows::of_items(&scene, Granularity::Objects, &[]);
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
-    with_rows(&scene, &backend, view, (&Alone, &rows, u64::MAX), |block| {
-        block.sample(1e-3, &[], Tolerance::Equal).unwrap();
-        assert!(block.traffic().is_some(), "the device casts the rounds");
-        let (sets, _) = result(block);
-        for c in block.grid().each() {
-            assert_eq!(
-                sets[block.grid().slot(c).index()],
-                [0, 1, 2, 3, 4, 5],
-                "{c:?}"
-            );
-        }
-    });
+    with_rows(
+        &scene,
+        &backend,
+        view,
+        &SoleMember,
+        &rows,
+        u64::MAX,
+        |block| {
+            block.sample(1e-3, &[], Tolerance::Equal).unwrap();
+            assert!(block.traffic().is_some(), "the device casts the rounds");
+            let (sets, _) = result(block);
+            for c in block.grid().each() {
+                assert_eq!(
+                    sets[block.grid().slot(c).index()],
+                    [0, 1, 2, 3, 4, 5],
+                    "{c:?}"
+                );
+            }
+        },
+    );
 }
 
 #[test]
-fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
-    // A closed wall divides the room, and the cell, of which the lower half along x holds viewpoints.
+fn lines_begin_in_parts_of_cell_with_viewpoints() {
+    // A closed wall divides the room and the cell. The lower half of the cell along x contains viewpoints.
     let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 6);
     let [a, b, c, d] =
         [(-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)].map(|(y, z)| Vec3::new(0.0, y, z));
@@ -274,8 +287,9 @@ fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
         Rows::triangles(&scene),
         ([Vec3::splat(-2.0), Vec3::splat(2.0)], [1; 3]),
     );
-    with_rows(&scene, &backend, view, (&Alone, &rows, lower), |block| {
-        // Too coarse for seeds, which begin anywhere and show what they show to any viewpoint of a cell.
+    with_rows(&scene, &backend, view, &SoleMember, &rows, lower, |block| {
+        // The target is too coarse for seeds, which begin anywhere and show triangles to any viewpoint of a
+        // cell.
         block.sample(0.004, &[], Tolerance::Equal).unwrap();
         assert!(block.traffic().is_some(), "the device casts the rounds");
         let set = &result(block).0[0];
@@ -298,10 +312,11 @@ fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
     });
 }
 
-/// A member that is given the outcomes of some phases and computes the rest comes to the same result: the
-/// device's table is made anew from the block's.
+/// Checks that a member that receives the outcomes of some phases and computes the rest has the same result.
+///
+/// The device's table is created again from the block's table.
 #[test]
-fn outcomes_of_another_member_take_the_place_of_phases() {
+fn outcomes_of_another_member_replace_phases() {
     let scene = rooms(2000);
     let Some(backend) = backend(&scene) else {
         return;
@@ -315,7 +330,7 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
                 hears.lock().unwrap().push(bytes.to_vec());
             }
         });
-        // Somebody for whom outcomes are handed over at once.
+        // With a member that has joined, the leader hands over outcomes at once.
         leader.hear(ToLeader::Joined(1));
         let result = with_block(
             &scene,
@@ -343,10 +358,10 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
     }
 }
 
-/// The device hears of the block what it cannot know, and says what is new. Rays that find nothing cost
-/// nothing.
+/// Checks the traffic: the host sends only facts that the device lacks, and the device returns only new bits.
+/// Rays without newly found triangles cause no traffic.
 #[test]
-fn little_goes_over_the_bus() {
+fn device_traffic_is_small() {
     let scene = rooms(3000);
     let Some(backend) = backend(&scene) else {
         return;
@@ -356,7 +371,7 @@ fn little_goes_over_the_bus() {
         &scene,
         &backend,
         ([b.min, b.max], [4; 3]),
-        &Alone,
+        &SoleMember,
         |block| {
             block.sample(2e-5, &[], Tolerance::Equal).unwrap();
             let traffic = block.traffic().unwrap();
@@ -368,8 +383,8 @@ fn little_goes_over_the_bus() {
     );
 }
 
-/// The relation of a tile baked by a backend, and its sets.
-fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (PairTable, CellSets) {
+/// Returns the pairs and the sets of a tile baked by a backend.
+fn pairs_of(scene: &Arc<Scene>, backend: &dyn Tracer, cells: [u32; 3]) -> (PairTable, CellSets) {
     let division = Division::Grid(cells);
     let b = scene.bounds();
     let lattice = division.lattice(b.min, b.max).unwrap();
@@ -384,12 +399,12 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
         items: Granularity::Triangles,
         far: None,
         viewpoints: None,
-        places: None,
+        region: None,
         pairs: Some(cells),
         backend,
         seed: 3,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Unwatched).unwrap().0
     else {
@@ -399,8 +414,8 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
 }
 
 #[test]
-fn pairs_are_those_that_the_host_finds() {
-    // A room that a wall with a slit divides.
+fn device_finds_same_pairs_as_host() {
+    // A room that is divided by a wall with a slit.
     let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 2);
     for [low, high] in [[-3.0, -0.2], [0.2, 3.0]] {
         let [a, b, c, d] =
@@ -414,10 +429,7 @@ fn pairs_are_those_that_the_host_finds() {
         strata: Strata::One,
         keep_pixels: false,
     };
-    let Ok(cpu) = CpuBackend::new(Arc::clone(&scene), spec) else {
-        assert!(std::env::var_os("CI").is_none(), "Embree is missing");
-        return;
-    };
+    let cpu = CpuBackend::new(Arc::clone(&scene), spec).unwrap();
     const CELLS: [u32; 3] = [9, 10, 3];
     let (by_device, sets) = pairs_of(&scene, &gpu, CELLS);
     let (again, sets_again) = pairs_of(&scene, &gpu, CELLS);

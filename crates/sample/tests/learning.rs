@@ -1,4 +1,4 @@
-//! A leader that learns earlier outcomes in the middle of a phase uses each for its own phase.
+//! Tests that a leader that receives earlier outcomes during a phase uses each outcome for its own phase.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -8,13 +8,13 @@ use std::sync::{Arc, Mutex};
 use sightline_sample::crew::{Crew as _, ForeignFinds, Leader, Phase};
 use sightline_sample::{TileError, Unwatched};
 
-/// A phase of one item, whose outcome is its number.
+/// A phase of one item, whose outcome is the phase's number.
 struct Numbered<'a> {
     number: u8,
     has: AtomicBool,
-    /// Called when it is prepared.
+    /// A function that is called when the phase is prepared.
     prepared: &'a (dyn Fn() + Sync),
-    /// The numbers that were added.
+    /// The added outcomes: the number of the phase, and the number in the outcome.
     added: &'a Mutex<Vec<[u8; 2]>>,
 }
 
@@ -49,13 +49,13 @@ impl Phase for Numbered<'_> {
 }
 
 #[test]
-fn outcomes_learned_while_a_phase_is_prepared_are_those_of_the_next_ones() {
+fn outcomes_received_during_preparation_belong_to_next_phases() {
     let leader = Leader::new(Vec::new(), Arc::new(Unwatched), |_| {});
     let added = Mutex::new(Vec::new());
     let learn = || {
         leader.learn(
             leader.phase(),
-            (leader.phase()..5).map(|n| vec![n as u8]).collect(),
+            (leader.phase().0..5).map(|n| vec![n as u8]).collect(),
         )
     };
     for number in 0..5 {

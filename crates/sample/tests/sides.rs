@@ -1,6 +1,6 @@
-//! Triangles with one side: met from their front alone, by every tracer and sampler.
+//! Tests of triangles with one side: every tracer and sampler meets them only from their front.
 //!
-//! Without Embree or a Vulkan adapter the tests say so in one line; where CI is set they fail.
+//! Without a Vulkan adapter the tests print one line and use only the cpu backend; under `CI` they fail.
 
 #![allow(
     clippy::unwrap_used,
@@ -15,42 +15,29 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use sightline_model::numbers::{MaxError, Resolution};
 use sightline_model::{CellSets, CubeParams, Granularity, Pack, Stop, TileOutput, codec};
-use sightline_sample::crew::Alone;
+use sightline_sample::crew::SoleMember;
 use sightline_sample::{JobContext, LineSampler, TileSampler, Unwatched, tile};
 use sightline_scene::overlap::triangle_touches_box;
-use sightline_scene::{Aabb, Kind, Kinds, Object, Scene, Side, Sides, Triangle};
-use sightline_trace::embree::CpuBackend;
+use sightline_scene::{Aabb, Kinds, Object, Scene, Side, Sides, SurfaceKind, Triangle, TriangleId};
+use sightline_trace::cpu::CpuBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
-use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::packet::{Halves, LANES, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::{
-    Backend, BackendError, CubeSpec, LineSet, PreparedScene, SKY, Strata, layers,
-};
+use sightline_trace::{CubeSpec, LineSet, PreparedScene, SKY, Strata, Tracer, TracerError, layers};
 use sightline_viewcells::{Division, Layout, Plan};
 
-fn present<B>(backend: Result<B, BackendError>) -> Option<B> {
-    match backend {
-        Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
-            eprintln!("not run: {why}");
-            None
+/// Returns the backends of this machine. Under `CI`, a missing adapter is a failure.
+fn backends(scene: &Arc<Scene>, spec: CubeSpec) -> Vec<Box<dyn Tracer>> {
+    let mut backends: Vec<Box<dyn Tracer>> =
+        vec![Box::new(CpuBackend::new(Arc::clone(scene), spec).unwrap())];
+    match GpuBackend::new(Arc::clone(scene), spec, AdapterChoice::AllowSoftware) {
+        Ok(gpu) => backends.push(Box::new(gpu)),
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run on a GPU: {why}");
         }
         Err(e) => panic!("{e}"),
     }
-}
-
-fn backends(scene: &Arc<Scene>, spec: CubeSpec) -> Vec<Box<dyn Backend>> {
-    let cpu = present(CpuBackend::new(Arc::clone(scene), spec));
-    let gpu = present(GpuBackend::new(
-        Arc::clone(scene),
-        spec,
-        AdapterChoice::AllowSoftware,
-    ));
-    let boxed = cpu.map(|b| Box::new(b) as Box<dyn Backend>);
-    boxed
-        .into_iter()
-        .chain(gpu.map(|b| Box::new(b) as Box<dyn Backend>))
-        .collect()
+    backends
 }
 
 fn spec(resolution: u32) -> CubeSpec {
@@ -61,8 +48,8 @@ fn spec(resolution: u32) -> CubeSpec {
     }
 }
 
-/// A scene of triangles with their sides and kinds.
-fn scene(parts: &[([Vec3; 3], Side, Kind)]) -> Arc<Scene> {
+/// Creates a scene of triangles with their sides and kinds.
+fn scene(parts: &[([Vec3; 3], Side, SurfaceKind)]) -> Arc<Scene> {
     let triangles: Vec<Triangle> = parts.iter().map(|(v, ..)| Triangle { v: *v }).collect();
     let objects = vec![Object {
         name: "all".to_owned(),
@@ -84,8 +71,8 @@ fn scene(parts: &[([Vec3; 3], Side, Kind)]) -> Arc<Scene> {
     )
 }
 
-/// The square 0…4 of the plane z = `z`, as two triangles that run counter-clockwise as seen from above, cut
-/// along one diagonal or the other.
+/// Returns the square 0…4 of the plane z = `z`, cut along one diagonal or the other. Its two triangles run
+/// counter-clockwise as seen from above.
 fn square(z: f32, other_diagonal: bool) -> [[Vec3; 3]; 2] {
     let [a, b, c, d] = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
         .map(|(x, y): (f32, f32)| Vec3::new(x, y, z));
@@ -96,12 +83,13 @@ fn square(z: f32, other_diagonal: bool) -> [[Vec3; 3]; 2] {
     }
 }
 
-/// Where a wall divides the third of four storeys of cells. Cubes at corners of cells are not in its plane.
+/// The height of a wall that divides the third of four storeys of cells. No corner of a cell is in its plane.
 const WALL: f32 = 2.47;
 
-/// A floor at z = 0, a ceiling at 4, both with two sides, and the layers of a wall in between.
-fn storeys(wall: &[([[Vec3; 3]; 2], Side, Kind)]) -> Arc<Scene> {
-    let outer = [square(0.0, false), square(4.0, false)].map(|s| (s, Side::Both, Kind::Opaque));
+/// Creates a floor at z = 0, a ceiling at 4, both with two sides, and the layers of a wall in between.
+fn storeys(wall: &[([[Vec3; 3]; 2], Side, SurfaceKind)]) -> Arc<Scene> {
+    let outer =
+        [square(0.0, false), square(4.0, false)].map(|s| (s, Side::Both, SurfaceKind::Opaque));
     let squares = outer.iter().chain(wall);
     let parts: Vec<_> = squares
         .flat_map(|(s, side, kind)| s.map(|v| (v, *side, *kind)))
@@ -113,10 +101,10 @@ fn reversed(square: [[Vec3; 3]; 2]) -> [[Vec3; 3]; 2] {
     square.map(|[a, b, c]| [a, c, b])
 }
 
-/// The outputs of all tiles of a bake.
+/// Returns the outputs of all tiles of a bake.
 fn bake(
     scene: &Arc<Scene>,
-    backend: &dyn Backend,
+    backend: &dyn Tracer,
     cells: [u32; 3],
     sampler: TileSampler,
 ) -> Vec<CellSets> {
@@ -138,12 +126,12 @@ fn bake(
         items: Granularity::Triangles,
         far: None,
         viewpoints: None,
-        places: None,
+        region: None,
         pairs: Some(cells),
         backend,
         seed: 0,
         deadline: None,
-        crew: &Alone,
+        crew: &SoleMember,
     };
     let mut outputs: Vec<Vec<u8>> = Vec::new();
     let mut sets = Vec::new();
@@ -162,7 +150,7 @@ fn bake(
     sets
 }
 
-/// The samplers, the last one with a bound.
+/// Returns the samplers, the last one with a bound.
 fn samplers() -> Vec<TileSampler> {
     let lines = |stop| LineSampler::Shared { error: 1e-4, stop };
     let bound = Stop::Bound(MaxError::new(0.01).unwrap());
@@ -178,8 +166,8 @@ fn samplers() -> Vec<TileSampler> {
     ]
 }
 
-/// The sets of four storeys of cells from below, and whether the lowest and the highest cell see each other,
-/// which every sampler and backend must give.
+/// Checks that every sampler and backend computes the expected sets of four storeys of cells, from below.
+/// `pair` is true if the lowest and the highest cell see each other.
 #[track_caller]
 fn assert_storeys(scene: &Arc<Scene>, expected: [&[u32]; 4], pair: bool) {
     for backend in backends(scene, spec(32)) {
@@ -200,9 +188,9 @@ fn assert_storeys(scene: &Arc<Scene>, expected: [&[u32]; 4], pair: bool) {
 }
 
 #[test]
-fn a_wall_with_one_side_is_seen_and_blocks_from_its_front_alone() {
-    use Kind::Opaque;
-    // Floor 0 and 1, ceiling 2 and 3. The third cell meets the wall.
+fn wall_with_one_side_is_seen_and_blocks_only_from_front() {
+    use SurfaceKind::Opaque;
+    // The floor is 0 and 1, the ceiling 2 and 3. The third cell meets the wall.
     let all: &[u32] = &[0, 1, 2, 3, 4, 5];
     let wall = storeys(&[(square(WALL, false), Side::CounterClockwise, Opaque)]);
     assert_storeys(
@@ -225,14 +213,18 @@ fn a_wall_with_one_side_is_seen_and_blocks_from_its_front_alone() {
 }
 
 #[test]
-fn a_wall_of_two_faces_in_one_place_is_closed() {
-    let up = (square(WALL, false), Side::CounterClockwise, Kind::Opaque);
-    // The same vertices in the other order, and cut along the other diagonal.
+fn wall_of_two_coincident_faces_is_closed() {
+    let up = (
+        square(WALL, false),
+        Side::CounterClockwise,
+        SurfaceKind::Opaque,
+    );
+    // The same vertices in reversed order, also cut along the other diagonal.
     for other_diagonal in [false, true] {
         let down = (
             reversed(square(WALL, other_diagonal)),
             Side::CounterClockwise,
-            Kind::Opaque,
+            SurfaceKind::Opaque,
         );
         let below: &[u32] = &[0, 1, 6, 7];
         let expected = [below, below, &[0, 1, 2, 3, 4, 5, 6, 7], &[2, 3, 4, 5]];
@@ -241,19 +233,23 @@ fn a_wall_of_two_faces_in_one_place_is_closed() {
 }
 
 #[test]
-fn a_pane_with_one_side_is_seen_from_its_front_alone_and_never_blocks() {
+fn pane_with_one_side_is_seen_only_from_front_and_never_blocks() {
     let pane = storeys(&[(
         square(WALL, false),
         Side::CounterClockwise,
-        Kind::SeeThrough,
+        SurfaceKind::SeeThrough,
     )]);
     let all: &[u32] = &[0, 1, 2, 3, 4, 5];
     assert_storeys(&pane, [&[0, 1, 2, 3], &[0, 1, 2, 3], all, all], true);
 }
 
 #[test]
-fn an_item_buffer_has_no_back_faces() {
-    let wall = storeys(&[(square(WALL, false), Side::CounterClockwise, Kind::Opaque)]);
+fn item_buffer_has_no_back_faces() {
+    let wall = storeys(&[(
+        square(WALL, false),
+        Side::CounterClockwise,
+        SurfaceKind::Opaque,
+    )]);
     for backend in backends(&wall, spec(16)) {
         let prepared = PreparedScene::new(Arc::clone(&wall)).unwrap();
         let renderer = layers::renderer(&*backend, &prepared, spec(16), None, None).unwrap();
@@ -276,7 +272,7 @@ fn an_item_buffer_has_no_back_faces() {
     }
 }
 
-/// Random triangles in the box −1…1, a third of them with each side.
+/// Returns random triangles in the box −1…1, a third of them with each side.
 fn random_scene(seed: u64, count: usize, size: f32) -> Arc<Scene> {
     let mut random = Hashed::new(&[seed]);
     let mut point = || random.point() * 2.0 - 1.0;
@@ -284,14 +280,16 @@ fn random_scene(seed: u64, count: usize, size: f32) -> Arc<Scene> {
         .map(|i| {
             let at = point();
             let v = [0, 1, 2].map(|_| (at + point() * size).clamp(Vec3::NEG_ONE, Vec3::ONE));
-            (v, Side::ALL[i % 3], Kind::Opaque)
+            (v, Side::ALL[i % 3], SurfaceKind::Opaque)
         })
         .collect();
     scene(&parts)
 }
 
-/// The nearest triangle that faces a ray, and its distance (Möller and Trumbore 1997); also whether another
-/// one is about as near, or a border or an edge-on triangle is close, so that rounding may decide otherwise.
+/// Returns the nearest triangle that faces a ray, and its distance (Möller and Trumbore 1997).
+///
+/// The flag is true if rounding may decide otherwise: another triangle is about as near, or a border or an
+/// edge-on triangle is close.
 fn brute_force(scene: &Scene, o: DVec3, d: DVec3) -> (u32, f64, bool) {
     let (mut nearest, mut unclear) = ((SKY, f64::INFINITY), false);
     let mut distances = Vec::new();
@@ -312,7 +310,7 @@ fn brute_force(scene: &Scene, o: DVec3, d: DVec3) -> (u32, f64, bool) {
         }
         // The front, from its definition.
         let towards = e.cross(f).dot(d);
-        let met = match scene.sides().side(id) {
+        let met = match scene.sides().side(TriangleId(id)) {
             Side::Both => true,
             Side::CounterClockwise => towards < 0.0,
             Side::Clockwise => towards > 0.0,
@@ -334,11 +332,11 @@ fn brute_force(scene: &Scene, o: DVec3, d: DVec3) -> (u32, f64, bool) {
 }
 
 #[test]
-fn tracers_meet_the_nearest_triangle_that_faces_a_ray() {
+fn tracers_meet_nearest_triangle_that_faces_ray() {
     let scene = random_scene(1, 300, 0.5);
     let ids: Vec<u32> = (0..scene.len()).collect();
     let mut random = Hashed::new(&[2]);
-    // Packets of one origin, as the samplers have them, and of any rays.
+    // Packets of one origin, as the samplers use them, and packets of any rays.
     let mut packets: Vec<Packet> = Vec::new();
     for k in 0..400 {
         let mut packet = Packet::default();
@@ -357,9 +355,9 @@ fn tracers_meet_the_nearest_triangle_that_faces_a_ray() {
     for backend in backends(&scene, spec(16)) {
         let tracer = backend.lines(LineSet::Blocking, &ids).unwrap();
         let mut each = packets.clone();
-        tracer.trace_each(&mut each).unwrap();
+        tracer.trace(&mut each, Halves::Rays, false).unwrap();
         let mut traced = packets.clone();
-        tracer.trace(&mut traced).unwrap();
+        tracer.trace(&mut traced, Halves::Rays, true).unwrap();
         let (mut clear, mut culled) = (0, 0);
         for (packet, each) in traced.iter().zip(&each) {
             for lane in 0..LANES {
@@ -379,7 +377,7 @@ fn tracers_meet_the_nearest_triangle_that_faces_a_ray() {
                 if id != SKY {
                     assert!((f64::from(packet.distance[lane]) - at).abs() < 1e-4 * at.max(1.0));
                 }
-                // Of the triangles without sides another one would be the nearest.
+                // Among triangles without sides, another triangle would be the nearest.
                 let both = scene_of_both_sides(&scene);
                 culled += usize::from(brute_force(&both, o, d).0 != id);
             }
@@ -393,7 +391,7 @@ fn scene_of_both_sides(scene: &Scene) -> Scene {
 }
 
 #[test]
-fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away() {
+fn sets_contain_hits_of_random_rays_and_no_back_faces() {
     let scene = random_scene(3, 60, 0.9);
     let bounds = scene.bounds();
     let cells = [3u32, 3, 3];
@@ -403,7 +401,7 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
         let sampler = TileSampler::Lines(LineSampler::Shared { error, stop });
         let tiles = bake(&scene, &*backend, cells, sampler);
         let pairs = tiles[0].pairs.as_ref().unwrap();
-        // One tile; the boxes of its cells in the order of its tree.
+        // One tile, with the boxes of its cells in the order of its tree.
         let division = Division::Grid(cells);
         let lattice = division.lattice(bounds.min, bounds.max).unwrap();
         let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
@@ -441,7 +439,7 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
                 }
                 rays += 1;
                 missed += usize::from(set.binary_search(&id).is_err());
-                // The way to the hit is free, so this cell and all on it see each other.
+                // The segment to the hit is free, so this cell and all cells on it see each other.
                 let there = o + d * (at as f32 * random.unit());
                 unjoined += usize::from(!pairs.seen.has(here, index(there)));
             }
@@ -450,9 +448,9 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
                 if triangle_touches_box(t, &Aabb { min: *lo, max: *hi }) {
                     continue;
                 }
-                // A triangle of one side has a corner of the cell in front of it, and most have a witness
-                // among a few hundred rays aimed at them.
-                let front = scene.front(id);
+                // A triangle of one side has a corner of the cell in front of it. Most such triangles have a
+                // witness among a few hundred rays aimed at them.
+                let front = scene.front(TriangleId(id));
                 let corner = |k: u32| {
                     let pick = |a: usize| if k >> a & 1 == 1 { hi[a] } else { lo[a] };
                     Vec3::new(pick(0), pick(1), pick(2))

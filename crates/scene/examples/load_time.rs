@@ -1,5 +1,5 @@
-//! Prints the triangles, objects and load time of scene files, or of a million triangles of each kind made on
-//! the fly.
+//! Prints the triangles, objects and load time of scene files, or of generated files with a million triangles
+//! in each format.
 //!
 //! `cargo run --release -p sightline-scene --example load_time [FILE…]`
 #![allow(clippy::print_stdout, clippy::unwrap_used)]

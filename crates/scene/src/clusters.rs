@@ -1,26 +1,32 @@
-//! Clusters: neighbouring triangles of one object, at most [`MOST_TRIANGLES`] with at most [`MOST_VERTICES`]
-//! vertices, as engines draw them (meshlets, as meshoptimizer builds them).
+//! Clusters of neighbouring triangles of one object, as engines draw them (meshlets, as built by
+//! meshoptimizer). A cluster has at most [`MOST_TRIANGLES`] triangles with at most [`MOST_VERTICES`]
+//! vertices.
 //!
-//! A cluster grows by the triangle that needs the fewest new vertices; among these, by the one whose vertices
-//! have the fewest triangles left, so that no single triangles remain; then by the least id. Without a
-//! neighbour it goes on with the next triangle in Morton order, so that leaves of a tree share clusters. All
-//! decisions are made on integers, so every machine makes the same clusters.
+//! A cluster grows by the neighbouring triangle that needs the fewest new vertices. Among several such
+//! triangles, the triangle whose vertices have the fewest remaining triangles is next, so that no single
+//! triangles remain; then the triangle with the smallest id. If the cluster has no neighbour, the next
+//! triangle in Morton order is added, so that separate leaves of a plant share clusters. All decisions use
+//! integers, so every machine creates the same clusters.
 
 use std::collections::BTreeMap;
 
-use crate::kinds::Kind;
+use sightline_numbers::ids::TriangleId;
+
+use crate::kinds::SurfaceKind;
 use crate::scene::{Object, Scene};
 
-/// Most triangles of a cluster.
+/// Maximum number of triangles of a cluster.
 pub const MOST_TRIANGLES: usize = 128;
-/// Most vertices of a cluster.
+/// Maximum number of vertices of a cluster.
 pub const MOST_VERTICES: usize = 255;
 
-/// Bits of a Morton code along each axis.
+/// The number of bits of a Morton code along each axis.
 const BITS: u32 = 20;
 
-/// The clusters of a scene, each as ascending triangle ids; in the order of the objects, and within one in
-/// the order in which they grew. Triangles that can never be visible are in no cluster.
+/// Computes the clusters of a scene, each as ascending triangle ids.
+///
+/// The clusters are in the order of the objects, and in the order of growth within an object. Triangles that
+/// can never be visible are in no cluster.
 pub fn clusters(scene: &Scene) -> Vec<Vec<u32>> {
     scene
         .objects()
@@ -30,7 +36,10 @@ pub fn clusters(scene: &Scene) -> Vec<Vec<u32>> {
 }
 
 fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
-    let shows = |t: &u32| scene.kinds().kind(*t) != Kind::OccluderOnly && scene.shows(*t);
+    let shows = |t: &u32| {
+        scene.kinds().kind(TriangleId(*t)) != SurfaceKind::OccluderOnly
+            && scene.shows(TriangleId(*t))
+    };
     let ids: Vec<u32> = (object.first..object.first + object.count)
         .filter(shows)
         .collect();
@@ -40,7 +49,8 @@ fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
     let mesh = NumberedMesh::new(scene, &ids);
     let mut left = mesh.left();
     let mut taken = vec![false; ids.len()];
-    // Of each vertex and each triangle, the cluster that has it, or considered it.
+    // For each vertex, the last cluster that contains it; for each triangle, the last cluster whose border
+    // contained it.
     let mut vertex_in = vec![u32::MAX; left.len()];
     let mut considered = vec![u32::MAX; ids.len()];
     let mut order = mesh.morton.iter().copied();
@@ -90,13 +100,16 @@ fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
     clusters
 }
 
-/// The triangles of an object with numbered vertices. Vertices are the same if their coordinates are.
+/// The triangles of an object with numbered vertices. Vertices with equal coordinates have the same number. A
+/// triangle is its index in `corners`.
 struct NumberedMesh {
     corners: Vec<[u32; 3]>,
-    /// The triangles around each vertex: those of vertex v are from `starts[v]` to `starts[v + 1]`.
+    /// The positions in `around`: the triangles of vertex v are at `starts[v]` to `starts[v + 1]`
+    /// (exclusive).
     starts: Vec<u32>,
+    /// The triangles around each vertex, vertex by vertex.
     around: Vec<u32>,
-    /// The triangles in Morton order of their centres.
+    /// The triangles in Morton order of their centroids.
     morton: Vec<u32>,
 }
 
@@ -107,7 +120,7 @@ impl NumberedMesh {
             .iter()
             .map(|id| {
                 scene.triangles()[*id as usize].v.map(|v| {
-                    // Minus zero is zero.
+                    // Minus zero equals zero.
                     let key = v.to_array().map(|x| (x + 0.0).to_bits());
                     let next = numbers.len() as u32;
                     *numbers.entry(key).or_insert(next)
@@ -163,7 +176,7 @@ impl NumberedMesh {
             [self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize]
     }
 
-    /// The number of triangles around each vertex.
+    /// Returns the number of triangles around each vertex.
     fn left(&self) -> Vec<u32> {
         self.starts.windows(2).map(|w| w[1] - w[0]).collect()
     }
@@ -176,7 +189,7 @@ mod tests {
     use super::*;
     use crate::scene::Triangle;
 
-    /// A square of 2·n² triangles as one object, and n single triangles far apart as another.
+    /// Creates a square of 2·n² triangles as one object, and n separate distant triangles as another object.
     fn scene(n: u32) -> Scene {
         let at = |x: u32, y: u32| Vec3::new(x as f32, y as f32, 0.0);
         let mut triangles: Vec<Triangle> = (0..n * n)
@@ -193,7 +206,7 @@ mod tests {
             v: [at(3 * i, 90), at(3 * i + 1, 90), at(3 * i, 91)],
         };
         triangles.extend((0..n).map(lone));
-        // Without area.
+        // A triangle without area.
         triangles.push(Triangle { v: [at(0, 0); 3] });
         let object = |first: u32, count| Object {
             name: first.to_string(),
@@ -209,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn clusters_hold_every_visible_triangle_once_and_are_few() {
+    fn clusters_contain_every_visible_triangle_once_and_are_few() {
         let n = 40;
         let scene = scene(n);
         let all = clusters(&scene);
@@ -221,9 +234,9 @@ mod tests {
             all.iter()
                 .all(|c| c.len() <= MOST_TRIANGLES && c.windows(2).all(|w| w[0] < w[1]))
         );
-        // A flat cluster of 128 triangles has about 81 vertices; 25 clusters would be the least.
+        // A flat cluster of 128 triangles has about 81 vertices. The minimum is 25 clusters.
         assert!((25..=32).contains(&square), "{square}");
-        // Lone triangles share a cluster, and no cluster has triangles of two objects.
+        // The separate triangles share a cluster, and no cluster contains triangles of two objects.
         assert_eq!(all.len() - square, 1);
         assert_eq!(all, clusters(&scene));
     }

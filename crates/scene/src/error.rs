@@ -2,33 +2,33 @@
 
 use std::path::{Path, PathBuf};
 
-/// Why a scene could not be loaded or accepted.
+/// The reason why a scene could not be loaded or accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// The file cannot be opened or read.
+    /// A file that cannot be opened or read.
     #[error("{}: cannot be read: {source}; check the path and its permissions", path.display())]
     Io {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The contents of the file cannot be used.
+    /// A file whose contents cannot be used.
     #[error("{file}: {element}: {reason}; {remedy}")]
     Bad {
-        /// The file name as the user gave it, or a description such as "uploaded scene".
+        /// The file name as the user specified it, or a description such as "uploaded scene".
         file: String,
-        /// The element at fault, counted from 0, for example `face 17` or `accessor 3`.
+        /// The faulty element, for example `face 17` or `line 3`. Indices start at 0, line numbers at 1.
         element: String,
-        /// The fault.
+        /// The fault of the element.
         reason: String,
-        /// The remedy.
+        /// The remedy for the fault.
         remedy: String,
     },
 }
 
 impl SceneError {
-    /// A [`SceneError::Bad`] for `file`.
+    /// Creates a [`SceneError::Bad`] for `file`.
     pub fn bad(
         file: impl Into<String>,
         element: impl Into<String>,
@@ -43,7 +43,7 @@ impl SceneError {
         }
     }
 
-    /// A [`SceneError::Io`] for `path`.
+    /// Creates a [`SceneError::Io`] for `path`.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io {
             path: path.to_owned(),

@@ -1,7 +1,8 @@
-//! Writes a scene as binary glTF 2.0 (GLB): one node and one mesh for each object, indexed triangles.
+//! The writer of scenes as binary glTF 2.0 (GLB): one node and one mesh for each object, with indexed
+//! triangles.
 //!
-//! Reading the file gives the same triangles in the same order and the same objects. Only geometry and names
-//! are written; vertices are shared within an object where they are equal bit for bit. Layout: Khronos, "glTF
+//! A reader of the file gets the same triangles in the same order and the same objects. Only geometry and
+//! names are written. An object's vertices are shared if they are equal bit for bit. Layout: Khronos, "glTF
 //! 2.0 Specification", section 4 (GLB), sections 3.6 and 3.7 (accessors, meshes).
 
 use std::io::Write;
@@ -12,39 +13,42 @@ use sightline_formats::glb;
 
 use crate::{Aabb, Scene, Triangle};
 
-/// Why a scene could not be written.
+/// The reason why a scene could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum GlbError {
-    /// The destination cannot be written.
+    /// A destination that cannot be written.
     #[error("the GLB cannot be written: {0}; check the destination and the space left on it")]
     Io(#[from] std::io::Error),
-    /// GLB counts its bytes in 32 bits.
+    /// A scene that exceeds the 32-bit size of a GLB.
     #[error(
-        "the scene takes {bytes} bytes as GLB; the limit is 4 294 967 295: write it in parts or as PLY"
+        "as GLB, the scene would have {bytes} bytes, but the limit is 4 294 967 295; write the scene in \
+         parts or as PLY"
     )]
     TooLarge {
-        /// Least number of bytes of the file.
+        /// The minimum number of bytes of the file.
         bytes: u64,
     },
-    /// The glTF structure could not be put into JSON.
+    /// A glTF structure that cannot be encoded as JSON.
     #[error("the glTF structure cannot be encoded: {0}; report this with the scene")]
     Json(#[from] serde_json::Error),
-    /// glTF has no mesh without triangles.
+    /// An object without triangles, which glTF cannot express.
     #[error(
-        "object {index} ({name:?}) has no triangles, which glTF cannot express; leave it out of the scene"
+        "object {index} ({name:?}) has no triangles, which glTF cannot express; remove the object \
+         from the scene"
     )]
     EmptyObject {
-        /// Its index in the scene.
+        /// The index of the object in the scene.
         index: usize,
-        /// Its name.
+        /// The name of the object.
         name: String,
     },
 }
 
-/// Writes `scene` to `out`. The bytes depend on the scene alone.
+/// Writes `scene` to `out`. The bytes depend only on the scene.
 ///
 /// # Errors
-/// [`GlbError`]. Nothing is written unless the size fits.
+/// [`GlbError`] if the scene is too large, has an object without triangles, or cannot be written. If the
+/// scene is too large, no byte is written.
 pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
     let mut positions: Vec<u8> = Vec::new();
     let mut indices: Vec<u8> = Vec::with_capacity(scene.triangles().len() * 12);
@@ -56,7 +60,7 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
                 name: o.name.clone(),
             });
         }
-        // `Scene::new` checked that objects tile the triangles.
+        // `Scene::new` has checked that the objects cover the triangles without gaps.
         let triangles = &scene.triangles()[o.first as usize..][..o.count as usize];
         let (vertices, numbers) = share(triangles);
         let bounds = triangles
@@ -120,7 +124,8 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
-/// Computes the length of a GLB with chunks of these lengths.
+/// Computes the length of a GLB with chunks of these lengths, in bytes. Fails if a GLB cannot have this
+/// length.
 fn fits<const N: usize>(chunks: [u64; N]) -> Result<u32, GlbError> {
     glb::length(chunks).map_err(|fault| GlbError::TooLarge {
         bytes: match fault {
@@ -130,12 +135,12 @@ fn fits<const N: usize>(chunks: [u64; N]) -> Result<u32, GlbError> {
     })
 }
 
-/// The coordinates as JSON numbers that read back as the same `f32`.
+/// Returns the coordinates as JSON numbers, from which readers get the same `f32` values.
 fn exact(v: Vec3) -> Value {
     json!(v.to_array().map(f64::from))
 }
 
-/// The distinct vertices in order of first use, and three indices for each triangle.
+/// Computes the distinct vertices in order of first use, and three indices for each triangle.
 fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let corners: Vec<Vec3> = triangles.iter().flat_map(|t| t.v).collect();
     let bits = |v: Vec3| v.to_array().map(f32::to_bits);
@@ -145,7 +150,8 @@ fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
         .map(|(i, v)| (bits(*v), i))
         .collect();
     order.sort_unstable();
-    // The first corner at each corner's position; sorted by corner within a position, so it leads its run.
+    // For each corner, the first corner at the same position. Corners at the same position are sorted, so the
+    // first corner of a run is the smallest.
     let mut leader = vec![0usize; corners.len()];
     for run in order.chunk_by(|a, b| a.0 == b.0) {
         for (_, corner) in run {
@@ -156,12 +162,12 @@ fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let mut numbers: Vec<u32> = Vec::with_capacity(corners.len());
     for (i, v) in corners.iter().enumerate() {
         if leader[i] == i {
-            // There are fewer than 2³² vertices: a GLB with more would be too large, and is refused before
-            // these indices are used.
+            // There are fewer than 2³² vertices: a GLB with more vertices is too large, and `write_glb`
+            // rejects it before it writes these indices.
             numbers.push(vertices.len() as u32);
             vertices.push(*v);
         } else {
-            // The leader comes first, so its number is known.
+            // The first corner at this position precedes corner i, so its index is already known.
             numbers.push(numbers[leader[i]]);
         }
     }
@@ -172,7 +178,7 @@ fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
 mod tests {
     use super::*;
     use crate::Object;
-    use crate::generate::{Kind, Params, generate};
+    use crate::generate::{SceneKind, SceneParams, generate};
 
     fn bytes(scene: &Scene) -> Vec<u8> {
         let mut out = Vec::new();
@@ -188,7 +194,8 @@ mod tests {
         v.as_u64().unwrap() as usize
     }
 
-    /// Reads a written GLB by the specification alone, and checks lengths, alignment and bounds.
+    /// Reads a written GLB according to the specification, without the loader, and checks lengths, alignment
+    /// and bounds.
     fn read(glb: &[u8]) -> (Vec<Triangle>, Vec<Object>) {
         assert_eq!(
             (&glb[..4], u32_at(glb, 4), u32_at(glb, 8)),
@@ -250,18 +257,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_the_same() {
-        for kind in Kind::ALL {
+    fn written_scene_reads_back_unchanged() {
+        for kind in SceneKind::ALL {
             let scene = generate(
                 kind,
-                &Params {
+                &SceneParams {
                     triangles: Some(3_000),
-                    ..Params::default()
+                    ..SceneParams::default()
                 },
             )
             .unwrap();
             let glb = bytes(&scene);
-            // The loader numbers the triangles as they were.
+            // The loader numbers the triangles in the original order.
             let loaded = crate::load_bytes("made.glb", &glb, None).unwrap();
             assert!(loaded.triangles() == scene.triangles(), "{}", kind.name());
             assert_eq!(loaded.objects().len(), scene.objects().len());
@@ -274,10 +281,10 @@ mod tests {
             assert_eq!(glb, bytes(&scene));
             let other = generate(
                 kind,
-                &Params {
+                &SceneParams {
                     triangles: Some(3_000),
                     seed: 1,
-                    ..Params::default()
+                    ..SceneParams::default()
                 },
             )
             .unwrap();
@@ -333,10 +340,10 @@ mod tests {
     #[test]
     fn vertices_are_shared() {
         let scene = generate(
-            Kind::Maze,
-            &Params {
+            SceneKind::Maze,
+            &SceneParams {
                 grid: Some([1, 1]),
-                ..Params::default()
+                ..SceneParams::default()
             },
         )
         .unwrap();
@@ -345,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn too_large_and_empty_objects_are_refused_before_anything_is_written() {
+    fn rejects_large_scene_and_empty_object_before_writing() {
         assert!(matches!(
             fits([1 << 32]),
             Err(GlbError::TooLarge {

@@ -1,35 +1,41 @@
-//! What a triangle does to sight lines: whether it blocks them, and whether they show it.
+//! The effect of triangles on sight lines: a triangle can block sight lines, and sight lines can show it.
 //!
-//! Every triangle has a [`Kind`]. A sight line ends at the first triangle that blocks, and shows each
-//! triangle on it that shows, the blocking one at its end included. A scene keeps the kinds as runs over its
-//! ids, each with the reason for the kind, and the rules of the user that decided some of them. Loaders find
-//! the kinds ([`mod@crate::load`]); this module knows nothing of files.
+//! Every triangle has a [`SurfaceKind`]. A sight line ends at the first triangle that blocks. The sight line
+//! shows each triangle on the line whose kind shows, including the blocking triangle at the end. A scene
+//! stores the kinds as runs over its ids, each with the reason for the kind, and the user's rules that
+//! determined some of them. Loaders determine the kinds ([`mod@crate::load`]); this module does not depend on
+//! files.
+
+use sightline_numbers::ids::TriangleId;
 
 use crate::SceneError;
 
-/// What a triangle does to sight lines.
+/// The effect of a triangle on sight lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
-pub enum Kind {
-    /// Blocks and shows: a wall.
+pub enum SurfaceKind {
+    /// A triangle that blocks and shows: a wall.
     #[default]
     Opaque = 0,
-    /// Shows and does not block: glass, or a mask with holes.
+    /// A triangle that shows and does not block: glass, or a mask with holes.
     SeeThrough = 1,
-    /// Blocks and does not show: the proxy mesh of an engine's occlusion culling.
+    /// A triangle that blocks and does not show: the proxy mesh of an engine's occlusion culling.
     OccluderOnly = 2,
-    /// Neither blocks nor shows, because its place at run time is unknown: a door, a character.
+    /// A triangle that neither blocks nor shows, because its position at run time is unknown: a character, or
+    /// a door without `--doors`.
     Moving = 3,
-    /// Shows, and blocks where the texel of its alpha mask does ([`crate::masks`]): a fence, a leaf.
+    /// A triangle that blocks and shows at opaque texels of its alpha mask, and does neither at other texels
+    /// ([`crate::masks`]): a fence, a leaf.
     Masked = 4,
-    /// Neither blocks nor shows, as what moves, and its place is an opening that can be shut at run time.
+    /// A triangle of a door, which neither blocks nor shows, like a moving triangle. The door can close an
+    /// opening at run time.
     Door = 5,
-    /// Neither blocks nor shows, because the file hides its node, and viewers do not draw it.
+    /// A triangle that neither blocks nor shows, because the file hides its node and viewers do not draw it.
     Hidden = 6,
 }
 
-impl Kind {
-    /// All kinds, by number.
+impl SurfaceKind {
+    /// The list of all kinds. The index of a kind is its number in files.
     pub const ALL: [Self; 7] = [
         Self::Opaque,
         Self::SeeThrough,
@@ -40,8 +46,8 @@ impl Kind {
         Self::Hidden,
     ];
 
-    /// The kind that blocks and shows as given, everywhere.
-    pub const fn of(blocks: bool, shows: bool) -> Self {
+    /// Returns the kind that blocks all sight lines or none, and that sets contain or do not contain.
+    pub const fn new(blocks: bool, shows: bool) -> Self {
         match (blocks, shows) {
             (true, true) => Self::Opaque,
             (false, true) => Self::SeeThrough,
@@ -50,17 +56,18 @@ impl Kind {
         }
     }
 
-    /// Whether every sight line ends at the triangle. Of a masked triangle only some do.
+    /// Returns true if every sight line ends at a triangle of this kind. At a masked triangle only some sight
+    /// lines end, so the result is false.
     pub const fn blocks(self) -> bool {
         matches!(self, Self::Opaque | Self::OccluderOnly)
     }
 
-    /// Whether the triangle can be in a visibility set.
+    /// Returns true if a triangle of this kind can be in a visibility set.
     pub const fn shows(self) -> bool {
         matches!(self, Self::Opaque | Self::SeeThrough | Self::Masked)
     }
 
-    /// The name in messages and files.
+    /// Returns the name of the kind in messages and files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Opaque => "opaque",
@@ -73,91 +80,92 @@ impl Kind {
         }
     }
 
-    /// The kind with a name.
+    /// Returns the kind with the given name, or `None` if no kind has this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|k| k.name() == name)
     }
 }
 
-/// A rule of the user: objects and materials whose name matches a glob have a kind.
+/// A rule of the user: objects and materials whose name matches a glob have the given kind.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Rule {
-    /// The kind.
-    pub kind: Kind,
-    /// The glob.
+pub struct KindRule {
+    /// The kind of the matching triangles.
+    pub kind: SurfaceKind,
+    /// The glob with which the names of objects and materials are compared.
     pub glob: String,
 }
 
-/// Consecutive triangles of one kind, for one reason.
+/// A run of consecutive triangles of one kind, for one reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Run {
+pub(crate) struct KindRun {
     pub(crate) count: u32,
-    pub(crate) kind: Kind,
-    /// Index in [`Kinds::reasons`].
+    pub(crate) kind: SurfaceKind,
+    /// The index of the reason in [`Kinds::reasons`].
     pub(crate) reason: u32,
 }
 
-/// How many triangles have a kind for one reason.
+/// The number of triangles that have a kind for one reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KindCount {
-    /// The kind.
-    pub kind: Kind,
+    /// The kind of the triangles.
+    pub kind: SurfaceKind,
     /// The reason, such as `alphaMode BLEND`.
     pub reason: String,
-    /// Number of triangles.
+    /// The number of triangles with the kind and the reason.
     pub triangles: u64,
 }
 
 /// The kinds of all triangles of a scene, with their reasons.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kinds {
-    /// By triangle; empty when all triangles are opaque.
-    of: Vec<Kind>,
-    pub(crate) runs: Vec<Run>,
+    /// The kind of each triangle, by id. Empty if all triangles are opaque.
+    by_triangle: Vec<SurfaceKind>,
+    pub(crate) runs: Vec<KindRun>,
     pub(crate) reasons: Vec<String>,
-    pub(crate) rules: Vec<Rule>,
-    /// Whether alpha textures decided about some triangles.
+    pub(crate) rules: Vec<KindRule>,
+    /// True if alpha textures determined the kinds of some triangles.
     pub(crate) alpha_textures: bool,
 }
 
-/// Most bytes of a reason or a glob.
+/// Maximum length of a reason or a glob, in bytes.
 pub(crate) const MAX_TEXT: usize = 4096;
 
 impl Kinds {
-    /// All triangles opaque, as no file or rule says otherwise.
+    /// Creates the kinds of a scene whose triangles are all opaque by default.
     pub fn opaque() -> Self {
         Self::default()
     }
 
-    /// The kinds given by runs of (number of triangles, kind, reason) in id order, and the rules that decided
-    /// some of them.
+    /// Creates kinds from runs of (number of triangles, kind, reason) in id order, and from the rules that
+    /// determined some of these kinds.
     ///
-    /// Adjacent runs of one kind and reason are joined. Without a rule, runs that are all opaque give
+    /// Adjacent runs of one kind and reason are joined. Without a rule, runs that are all opaque result in
     /// [`Kinds::opaque`].
     pub fn from_runs<R: AsRef<str>>(
-        parts: impl IntoIterator<Item = (u32, Kind, R)>,
-        rules: Vec<Rule>,
+        parts: impl IntoIterator<Item = (u32, SurfaceKind, R)>,
+        rules: Vec<KindRule>,
     ) -> Self {
         Self::collect(parts, rules, false)
     }
 
-    /// The same where alpha textures decided about some triangles, be they masked or alike everywhere.
+    /// Creates kinds as [`Kinds::from_runs`] does, for a scene in which alpha textures determined some kinds.
+    /// These triangles are masked, or their textures are uniform.
     pub fn from_textures<R: AsRef<str>>(
-        parts: impl IntoIterator<Item = (u32, Kind, R)>,
-        rules: Vec<Rule>,
+        parts: impl IntoIterator<Item = (u32, SurfaceKind, R)>,
+        rules: Vec<KindRule>,
     ) -> Self {
         Self::collect(parts, rules, true)
     }
 
     fn collect<R: AsRef<str>>(
-        parts: impl IntoIterator<Item = (u32, Kind, R)>,
-        rules: Vec<Rule>,
+        parts: impl IntoIterator<Item = (u32, SurfaceKind, R)>,
+        rules: Vec<KindRule>,
         alpha_textures: bool,
     ) -> Self {
-        let mut runs: Vec<Run> = Vec::new();
+        let mut runs: Vec<KindRun> = Vec::new();
         let mut reasons: Vec<String> = Vec::new();
         for (count, kind, reason) in parts.into_iter().filter(|p| p.0 > 0) {
-            // There are few reasons.
+            // A linear search is fast enough, because there are few reasons.
             let known = reasons.iter().position(|r| r == reason.as_ref());
             let reason = known.unwrap_or_else(|| {
                 reasons.push(reason.as_ref().to_owned());
@@ -165,18 +173,19 @@ impl Kinds {
             }) as u32;
             match runs.last_mut() {
                 Some(last) if (last.kind, last.reason) == (kind, reason) => last.count += count,
-                _ => runs.push(Run {
+                _ => runs.push(KindRun {
                     count,
                     kind,
                     reason,
                 }),
             }
         }
-        if rules.is_empty() && !alpha_textures && runs.iter().all(|r| r.kind == Kind::Opaque) {
+        if rules.is_empty() && !alpha_textures && runs.iter().all(|r| r.kind == SurfaceKind::Opaque)
+        {
             return Self::opaque();
         }
         Self {
-            of: expanded(&runs),
+            by_triangle: expanded(&runs),
             runs,
             reasons,
             rules,
@@ -184,39 +193,43 @@ impl Kinds {
         }
     }
 
-    /// The kind of a triangle.
-    pub fn kind(&self, triangle: u32) -> Kind {
-        self.of.get(triangle as usize).copied().unwrap_or_default()
+    /// Returns the kind of a triangle. Ids that the kinds do not cover are opaque.
+    pub fn kind(&self, triangle: TriangleId) -> SurfaceKind {
+        self.by_triangle
+            .get(triangle.at())
+            .copied()
+            .unwrap_or_default()
     }
 
-    /// Whether every triangle is opaque.
+    /// Returns true if every triangle is opaque.
     pub fn all_opaque(&self) -> bool {
-        self.of.is_empty()
+        self.by_triangle.is_empty()
     }
 
-    /// The kinds by triangle; empty when all triangles are opaque.
-    pub fn by_triangle(&self) -> &[Kind] {
-        &self.of
+    /// Returns the kind of each triangle, by id. The slice is empty if all triangles are opaque.
+    pub fn by_triangle(&self) -> &[SurfaceKind] {
+        &self.by_triangle
     }
 
-    /// Whether a triangle is masked, so that only its texture says where it blocks.
+    /// Returns true if at least one triangle is masked, so that its texture determines the points that block.
     pub fn any_masked(&self) -> bool {
-        self.runs.iter().any(|r| r.kind == Kind::Masked)
+        self.runs.iter().any(|r| r.kind == SurfaceKind::Masked)
     }
 
-    /// Whether alpha textures decided about some triangles.
+    /// Returns true if alpha textures determined the kinds of some triangles.
     pub fn alpha_textures(&self) -> bool {
         self.alpha_textures
     }
 
-    /// The masked triangles as ranges (first, count), ascending; adjacent ranges are joined.
+    /// Returns the masked triangles as ascending ranges (first id, number of triangles). Adjacent ranges are
+    /// joined.
     pub(crate) fn masked(&self) -> Vec<(u64, u64)> {
         let mut ranges: Vec<(u64, u64)> = Vec::new();
         let mut at = 0;
         for run in &self.runs {
             let count = u64::from(run.count);
             match ranges.last_mut() {
-                _ if run.kind != Kind::Masked => {}
+                _ if run.kind != SurfaceKind::Masked => {}
                 Some((first, n)) if *first + *n == at => *n += count,
                 _ => ranges.push((at, count)),
             }
@@ -225,13 +238,13 @@ impl Kinds {
         ranges
     }
 
-    /// The rules of the user that were applied, in order.
-    pub fn rules(&self) -> &[Rule] {
+    /// Returns the user's rules that were applied, in order.
+    pub fn rules(&self) -> &[KindRule] {
         &self.rules
     }
 
-    /// How many triangles have which kind for which reason, by kind, then in the order of the file. Empty
-    /// when nothing but the default makes the triangles opaque.
+    /// Counts the triangles by kind and reason, sorted by kind, then in the order of the file. The result is
+    /// empty if all triangles are opaque by default.
     pub fn counts(&self) -> Vec<KindCount> {
         let mut counts: Vec<KindCount> = Vec::new();
         for run in &self.runs {
@@ -252,7 +265,8 @@ impl Kinds {
         counts
     }
 
-    /// Checks that the runs cover `triangles` ids and that texts are short.
+    /// Checks that the runs cover `triangles` ids, that each rule has a permitted kind, and that texts are
+    /// short.
     pub(crate) fn check(&self, file: &str, triangles: u32) -> Result<(), SceneError> {
         let bad = |reason: String| {
             SceneError::bad(
@@ -265,22 +279,22 @@ impl Kinds {
         let covered: u64 = self.runs.iter().map(|r| u64::from(r.count)).sum();
         if !self.runs.is_empty() && covered != u64::from(triangles) {
             return Err(bad(format!(
-                "they are given for {covered} triangles of {triangles}"
+                "the kinds cover {covered} triangles, but the scene has {triangles}"
             )));
         }
         if self.any_masked() && !self.alpha_textures {
             return Err(bad(
-                "triangles are masked, but no texture was read".to_owned()
+                "some triangles are masked, but no alpha texture was read".to_owned(),
             ));
         }
         if let Some(rule) = self
             .rules
             .iter()
-            .find(|r| matches!(r.kind, Kind::Masked | Kind::Hidden))
+            .find(|r| matches!(r.kind, SurfaceKind::Masked | SurfaceKind::Hidden))
         {
             let kind = rule.kind.name();
             return Err(bad(format!(
-                "a rule makes triangles {kind}, which only a file does"
+                "a rule sets the kind {kind}, which only a scene file can set"
             )));
         }
         let mut texts = self
@@ -289,16 +303,16 @@ impl Kinds {
             .chain(self.rules.iter().map(|r| &r.glob));
         if texts.any(|t| t.len() > MAX_TEXT) {
             return Err(bad(format!(
-                "a reason or a glob is longer than {MAX_TEXT} bytes"
+                "the reason for a kind, or the glob of a rule, is longer than {MAX_TEXT} bytes"
             )));
         }
         Ok(())
     }
 }
 
-/// The runs as one kind for each triangle; empty when all are opaque.
-fn expanded(runs: &[Run]) -> Vec<Kind> {
-    if runs.iter().all(|r| r.kind == Kind::Opaque) {
+/// Expands the runs to one kind for each triangle. The result is empty if all triangles are opaque.
+fn expanded(runs: &[KindRun]) -> Vec<SurfaceKind> {
+    if runs.iter().all(|r| r.kind == SurfaceKind::Opaque) {
         return Vec::new();
     }
     let mut kinds = Vec::with_capacity(runs.iter().map(|r| r.count as usize).sum());
@@ -307,9 +321,9 @@ fn expanded(runs: &[Run]) -> Vec<Kind> {
     kinds
 }
 
-/// Appends the section of a scene's canonical bytes. Little-endian: u32 R, then R rules of (u8 kind, text);
-/// u32 S, then S reasons as texts; u32 K, then K runs of (u32 count, u8 kind, u32 reason). A text is a u32
-/// length and its UTF-8.
+/// Appends the section of a scene's canonical bytes that contains the kinds. Little-endian: u32 R, then R
+/// rules of (u8 kind, text); u32 S, then S reasons as texts; u32 K, then K runs of (u32 count, u8 kind, u32
+/// index of the reason). A text is a u32 length in bytes and its UTF-8.
 pub(crate) fn write(kinds: &Kinds, out: &mut Vec<u8>) {
     let text = |out: &mut Vec<u8>, t: &str| {
         out.extend_from_slice(&(t.len() as u32).to_le_bytes());
@@ -330,7 +344,8 @@ pub(crate) fn write(kinds: &Kinds, out: &mut Vec<u8>) {
     }
 }
 
-/// Reads the section that [`write`] appends, and returns the bytes after it. `triangles` bounds the runs.
+/// Reads the section that [`write`] appends, and returns the kinds and the remaining bytes. `triangles` is
+/// the number of triangles that the runs must cover.
 pub(crate) fn read(
     bytes: &[u8],
     triangles: u32,
@@ -339,7 +354,7 @@ pub(crate) fn read(
     let mut r = KindsReader(bytes);
     let mut rules = Vec::new();
     for _ in 0..r.count(5)? {
-        rules.push(Rule {
+        rules.push(KindRule {
             kind: r.kind()?,
             glob: r.text()?,
         });
@@ -351,7 +366,7 @@ pub(crate) fn read(
     let mut runs = Vec::new();
     let mut covered = 0u64;
     for _ in 0..r.count(9)? {
-        let run = Run {
+        let run = KindRun {
             count: r.u32()?,
             kind: r.kind()?,
             reason: r.u32()?,
@@ -361,14 +376,14 @@ pub(crate) fn read(
             return Err("a run of kinds is empty or reaches beyond the triangles");
         }
         if run.reason as usize >= reasons.len() {
-            return Err("a run of kinds names a reason that is not there");
+            return Err("a run of kinds refers to a reason that does not exist");
         }
         runs.push(run);
     }
     if covered != u64::from(triangles) {
         return Err("the kinds do not cover all triangles");
     }
-    // One scene has one encoding: no run is split, no reason unused, and opaque scenes have no kinds.
+    // Each scene has one encoding: no run is split, every reason is used, and opaque scenes have no kinds.
     let parts = runs
         .iter()
         .map(|r| (r.count, r.kind, &reasons[r.reason as usize]));
@@ -379,7 +394,7 @@ pub(crate) fn read(
     Ok((kinds, r.0))
 }
 
-/// Reads numbers and texts; every count is checked against the remaining bytes.
+/// A reader of numbers and texts, which checks every count against the remaining bytes.
 struct KindsReader<'a>(&'a [u8]);
 
 impl KindsReader<'_> {
@@ -392,33 +407,34 @@ impl KindsReader<'_> {
         Ok(u32::from_le_bytes(*head))
     }
 
-    /// A count of elements of at least `least` bytes each.
+    /// Reads the number of the following elements, which have at least `least` bytes each.
     fn count(&mut self, least: usize) -> Result<usize, &'static str> {
         let n = self.u32()? as usize;
         if n > self.0.len() / least {
-            Err("the kinds count more than there is")
+            Err("the kinds announce more elements than the remaining bytes can contain")
         } else {
             Ok(n)
         }
     }
 
-    fn kind(&mut self) -> Result<Kind, &'static str> {
+    fn kind(&mut self) -> Result<SurfaceKind, &'static str> {
         let (number, rest) = self.0.split_first().ok_or("the kinds are cut short")?;
         self.0 = rest;
-        Kind::ALL
+        SurfaceKind::ALL
             .get(usize::from(*number))
             .copied()
-            .ok_or("a kind is unknown")
+            .ok_or("the number of a kind is above 6")
     }
 
     fn text(&mut self) -> Result<String, &'static str> {
         let n = self.count(1)?;
         if n > MAX_TEXT {
-            return Err("a reason or a glob is too long");
+            return Err("the reason for a kind, or the glob of a rule, is too long");
         }
         let (text, rest) = self.0.split_at(n);
         self.0 = rest;
-        String::from_utf8(text.to_vec()).map_err(|_| "a reason or a glob is not UTF-8")
+        String::from_utf8(text.to_vec())
+            .map_err(|_| "the reason for a kind, or the glob of a rule, is not UTF-8")
     }
 }
 

@@ -1,9 +1,10 @@
-//! Exact overlap of triangles and boxes. Both are closed, so touching counts.
+//! Exact overlap tests of triangles and boxes. Both are closed, so touching counts as overlap.
 //!
-//! Separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001): the box's three normals,
-//! the triangle's normal, and the nine cross products of their edges. Every comparison along an axis is
-//! written as an orientation of `f32` points, so [`sightline_geometry::predicates`] decides it: the bounds
-//! of its filters are proved there, and there is no epsilon.
+//! The separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001) are the box's three
+//! normals, the triangle's normal, and the nine cross products of an edge of the box and an edge of the
+//! triangle. Every comparison along an axis
+//! is an orientation of `f32` points, which [`sightline_geometry::predicates`] decides with proved filter
+//! bounds and without an epsilon.
 
 use std::cmp::Ordering;
 
@@ -12,8 +13,10 @@ use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 
 use crate::{Aabb, Scene, Triangle};
 
-/// Whether the closed triangle and the closed box share a point. An empty box (`min` > `max` somewhere) meets
-/// nothing; a triangle without area is treated as the segment or point it is.
+/// Returns true if the closed triangle and the closed box share a point.
+///
+/// An empty box (`min` > `max` on some axis) never meets a triangle. A triangle without area is treated as a
+/// segment or point.
 pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
     b.min.cmple(b.max).all()
         && t.bounds().touches(b)
@@ -27,8 +30,10 @@ pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
                 && plane_meets(t, b))
 }
 
-/// The ids of the triangles with area that meet `bounds`, ascending, among `ids` (in any order; ids that are
-/// not in the scene are ignored) or in the whole scene.
+/// Returns the ids of the triangles with area that meet `bounds`, ascending.
+///
+/// Searches among `ids` in any order, or in the whole scene if `ids` is `None`. Ids that are not in the scene
+/// are ignored.
 pub fn triangles_in_box(scene: &Scene, ids: Option<&[u32]>, bounds: &Aabb) -> Vec<u32> {
     let meets = |id: &u32| {
         scene.triangles().get(*id as usize).is_some_and(|t| {
@@ -46,19 +51,19 @@ pub fn triangles_in_box(scene: &Scene, ids: Option<&[u32]>, bounds: &Aabb) -> Ve
     }
 }
 
-/// Whether some line parallel to the third axis and to a triangle edge separates the two, seen along that
-/// axis: the triangle on or behind the edge, the whole rectangle strictly in front of it.
+/// Returns true if a plane parallel to the third axis and to a triangle edge separates triangle and box.
 ///
-/// Only the side that the triangle does not lie on has to be tested. A face of the Minkowski difference made
-/// by an edge of each has the triangle's edge as its support, that is, no part of the triangle is in front of
-/// it.
+/// The axes `i` and `j` are the other two. In the projection along the third axis, the triangle is on or
+/// behind the edge, and the whole rectangle of the box is strictly in front of the edge. Only the side
+/// without the triangle must be tested. A face of the Minkowski difference that an edge of each shape creates
+/// has the triangle's edge as its support: no part of the triangle is in front of this edge.
 fn edge_separates(t: &Triangle, b: &Aabb, i: usize, j: usize) -> bool {
     let flat = |v: Vec3| [v[i], v[j]];
     (0..3).any(|k| {
         let (p, q, r) = (flat(t.v[k]), flat(t.v[(k + 1) % 3]), flat(t.v[(k + 2) % 3]));
         let rest = orient2d_sign(p, q, r);
-        // The corner with the greatest (q−p)×(x−p) has the greater y where q−p points right, the lesser x
-        // where it points up; the corner with the least is opposite.
+        // The corner with the maximum (q−p)×(x−p) has the larger y if q−p points right, and the smaller x if
+        // q−p points up. The corner with the minimum is opposite.
         let pick = |up: bool, a: usize| if up { b.max[a] } else { b.min[a] };
         let (right, up) = (q[0] > p[0], q[1] > p[1]);
         let greatest = [pick(!up, i), pick(right, j)];
@@ -68,8 +73,9 @@ fn edge_separates(t: &Triangle, b: &Aabb, i: usize, j: usize) -> bool {
     })
 }
 
-/// Whether the triangle's plane meets the box: its corners furthest along the normal are not strictly on one
-/// side. A triangle without area has no plane, every sign is `Equal`, and nothing is separated.
+/// Returns true if the triangle's plane meets the box: the box's corners that are furthest along and against
+/// the normal are not strictly on one side. For a triangle without area, which has no plane, the result is
+/// also true, because every sign is `Equal`.
 fn plane_meets(t: &Triangle, b: &Aabb) -> bool {
     let [p, q, r] = t.v;
     let mut front = b.min;
@@ -105,7 +111,8 @@ mod tests {
         }
     }
 
-    /// Clips the triangle by the box's six half-spaces in homogeneous integers; what is left decides.
+    /// Clips the triangle by the box's six half-spaces in homogeneous integers. Returns true if a part
+    /// remains.
     fn clipped(v: [[i32; 3]; 3], lo: [i32; 3], hi: [i32; 3]) -> bool {
         let gcd = |mut a: i128, mut b: i128| {
             while b != 0 {
@@ -140,9 +147,9 @@ mod tests {
     }
 
     #[test]
-    fn touching_counts_and_the_next_float_does_not() {
+    fn touching_counts_and_next_float_does_not() {
         let up = |x: f32| f32::from_bits(x.to_bits() + 1);
-        // A face, an edge and a corner that only touch.
+        // A face, an edge and a corner that only touch the box.
         assert!(triangle_touches_box(
             &tri([[1., 0., 0.], [1., 1., 0.], [1., 0., 1.]]),
             &unit()
@@ -160,8 +167,8 @@ mod tests {
     }
 
     #[test]
-    fn slivers_are_decided_by_their_last_bit() {
-        // Passes the box's edge x = 1, y = 1 at a distance that is far below the rounding of f64 products.
+    fn last_bit_decides_slivers() {
+        // The sliver passes the box's edge x = 1, y = 1 at a distance far below the rounding of f64 products.
         let far = 16_777_216.0f32;
         let sliver = |e: f32| {
             tri([
@@ -218,7 +225,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(4000))]
         #[test]
-        fn agrees_with_clipping_and_keeps_under_symmetries(
+        fn agrees_with_clipping_under_symmetries(
             v in prop::array::uniform3(prop::array::uniform3(-5i32..6)),
             lo in prop::array::uniform3(-3i32..3),
             size in prop::array::uniform3(0i32..4),

@@ -1,29 +1,29 @@
-//! Writes a scene as binary little-endian PLY, with the triangles in id order.
+//! The writer of scenes as binary little-endian PLY, with the triangles in id order.
 //!
-//! Each triangle has three vertices of its own, so that vertex 3·id + corner is that corner. Objects are not
-//! written, since PLY has no element for them.
+//! Each triangle has three separate vertices: corner c of triangle id is vertex 3·id + c. Objects are not
+//! written, because PLY has no element for them.
 
 use std::io::{self, Write};
 
 use crate::Scene;
 
-/// Approximate number of bytes of one write.
+/// The approximate number of bytes of one write.
 const CHUNK: usize = 1 << 16;
 
-/// Writes `scene` in world space as binary little-endian PLY. Read back, it has the same vertices to the bit.
+/// Writes `scene` in world space as binary little-endian PLY. Readers get the same vertices bit for bit.
 ///
 /// # Errors
-/// The errors of `out`, and [`io::ErrorKind::InvalidInput`] when the vertices are too many for 32-bit
+/// The errors of `out`, and [`io::ErrorKind::InvalidInput`] if there are too many vertices for 32-bit
 /// indices.
 pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let faces = scene.len();
     let Some(vertices) = faces.checked_mul(3) else {
         let what = format!(
-            "{faces} triangles have more vertices than PLY's 32-bit indices can name; split the scene"
+            "{faces} triangles have more vertices than the 32-bit indices of PLY can number; split the scene"
         );
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
-    // Most readers know `int`; `uint` only where it is needed.
+    // More readers support `int` than `uint`, so use `uint` only for indices above the range of `int`.
     let index = if i32::try_from(vertices).is_ok() {
         "int"
     } else {
@@ -53,7 +53,7 @@ pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     out.write_all(&chunk)
 }
 
-/// Writes the chunk when it is full.
+/// Writes the chunk if it is full.
 fn flush_full(chunk: &mut Vec<u8>, out: &mut dyn Write) -> io::Result<()> {
     if chunk.len() >= CHUNK {
         out.write_all(chunk)?;

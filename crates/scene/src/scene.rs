@@ -1,37 +1,39 @@
-//! The scene itself: triangles in id order, the objects they form, their bounds, and their canonical bytes.
+//! The scene: triangles in id order, their objects, bounds and canonical bytes.
 //!
-//! A scene is a triangle soup: each triangle has three vertices of its own, and there is no index buffer. So
-//! ids, digests and samples do not depend on how a file shares its vertices, and no indirection is needed to
-//! read triangles.
+//! A scene is a triangle soup: each triangle has three separate vertices, and there is no index buffer. So
+//! ids, digests and samples do not depend on shared vertices in a file, and triangles are read without an
+//! indirection.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
+use sightline_numbers::ids::TriangleId;
 use sightline_numbers::{Aabb, MAX_COORDINATE};
 
 use crate::SceneError;
 use crate::kinds::{self, Kinds};
 use crate::masks::{self, Masks};
 use crate::sides::{self, Side, Sides};
-use crate::sources::{self, Source};
+use crate::sources::{self, GltfLocation};
 
-/// A triangle: three vertices in world space, in the winding of the file. 36 bytes without padding.
+/// A triangle: three vertices in world space, in the order of the file. 36 bytes without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Triangle {
-    /// The vertices.
+    /// The vertices in world space.
     pub v: [Vec3; 3],
 }
 
 impl Triangle {
-    /// Returns true if the triangle has no area: two vertices equal, or all three on one line. Exact.
+    /// Returns true if the triangle has no area: two vertices are equal, or all three are on one line. The
+    /// result is exact.
     ///
-    /// Differences of `f32` coordinates are exact in `f64` only when their exponents are close, so
-    /// [`sightline_geometry::predicates`] decides with expansion arithmetic when its filter cannot.
+    /// Differences of `f32` coordinates are exact in `f64` only if their exponents are close. So
+    /// [`sightline_geometry::predicates`] uses expansion arithmetic if its filter cannot decide.
     pub fn is_degenerate(&self) -> bool {
         sightline_geometry::predicates::collinear(self.v[0], self.v[1], self.v[2])
     }
 
-    /// The box around the three vertices.
+    /// Returns the box around the three vertices.
     pub fn bounds(&self) -> Aabb {
         Aabb::around(self.v)
     }
@@ -41,15 +43,16 @@ impl Triangle {
 /// file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Object {
-    /// Its name in the file, made unique by the loader; invented where the file gives none.
+    /// The name of the object in the file, made unique by the loader. The loader creates a name if the file
+    /// contains none.
     pub name: String,
-    /// Id of its first triangle.
+    /// The id of the object's first triangle.
     pub first: u32,
-    /// Number of its triangles; may be 0.
+    /// The number of the object's triangles, which may be 0.
     pub count: u32,
 }
 
-/// BLAKE3 of a scene's canonical bytes.
+/// The BLAKE3 digest of a scene's canonical bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SceneDigest(pub [u8; 32]);
 
@@ -59,7 +62,7 @@ impl std::fmt::Display for SceneDigest {
     }
 }
 
-/// A checked static scene. Every vertex is finite, there is at least one triangle, and the objects tile the
+/// A checked static scene. Every vertex is finite, there is at least one triangle, and the objects cover the
 /// ids 0…N−1 in order without gaps.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -68,36 +71,38 @@ pub struct Scene {
     bounds: Aabb,
     kinds: Kinds,
     masks: Masks,
-    /// One for each object, or none.
-    sources: Vec<Source>,
+    /// The locations in a glTF file: one for each object, or none.
+    sources: Vec<GltfLocation>,
     sides: Sides,
 }
 
-/// First bytes of a canonical scene of opaque triangles: name and version of the encoding.
+/// The first bytes of a canonical scene of opaque triangles: the name and version of the encoding.
 const BLOB_MAGIC: &[u8; 8] = b"SLSCENE1";
-/// The same for a scene with kinds.
+/// The first bytes of a canonical scene with kinds.
 const BLOB_MAGIC_KINDS: &[u8; 8] = b"SLSCENE2";
-/// The same for a scene with kinds whose alpha textures were read.
+/// The first bytes of a canonical scene with kinds whose alpha textures were read.
 const BLOB_MAGIC_MASKS: &[u8; 8] = b"SLSCENE4";
-/// The same for a scene with sides, or that says where its objects are in a glTF file. A u32 of flags
-/// follows.
+/// The first bytes of a canonical scene with sides, or with the locations of its objects in a glTF file. A
+/// u32 of flags follows.
 const BLOB_MAGIC_FLAGS: &[u8; 8] = b"SLSCENE5";
-/// Flags of such a scene: it has kinds, its alpha textures were read, it has sides, it has sources.
+/// The flag of a [`BLOB_MAGIC_FLAGS`] scene with kinds. The following flags are set for scenes with alpha
+/// textures, with sides, and with locations in a glTF file.
 const HAS_KINDS: u32 = 1;
 const HAS_MASKS: u32 = 2;
 const HAS_SIDES: u32 = 4;
 const HAS_SOURCES: u32 = 8;
-/// Longest object name kept in a scene, in bytes; longer names are refused by [`Scene::new`].
+/// Maximum length of an object name in bytes. [`Scene::new`] rejects longer names.
 pub const MAX_NAME_BYTES: usize = 4096;
 
 impl Scene {
-    /// A scene of `triangles` (in id order) and `objects` (in order, tiling the ids).
+    /// Creates a scene of `triangles` in id order, and of `objects`, which cover the ids in order without
+    /// gaps.
     ///
-    /// `file` names the source in errors.
+    /// `file` is the name of the source in errors.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when there is no triangle, more than `u32::MAX - 1` of them, a vertex that is not
-    /// finite, or objects that do not tile the ids.
+    /// [`SceneError::Bad`] if there is no triangle, more than `u32::MAX - 1` triangles, a vertex that is not
+    /// finite, or objects that do not cover the ids.
     pub fn new(
         file: &str,
         triangles: Vec<Triangle>,
@@ -107,7 +112,7 @@ impl Scene {
             return Err(SceneError::bad(
                 file,
                 "scene",
-                "it has no triangles",
+                "the scene has no triangles",
                 "export the meshes as triangles (lines and points are not visible surfaces)",
             ));
         }
@@ -115,7 +120,10 @@ impl Scene {
             return Err(SceneError::bad(
                 file,
                 "scene",
-                format!("{} triangles are more than ids can number", triangles.len()),
+                format!(
+                    "{} triangles are more than 32-bit ids can number",
+                    triangles.len()
+                ),
                 "split the scene into parts of fewer than 4 294 967 295 triangles",
             ));
         }
@@ -126,7 +134,7 @@ impl Scene {
                     return Err(SceneError::bad(
                         file,
                         format!("triangle {i}, vertex {corner}"),
-                        format!("its position ({}, {}, {}) is not finite", v.x, v.y, v.z),
+                        format!("the position ({}, {}, {}) is not finite", v.x, v.y, v.z),
                         "remove or repair the vertex and export again",
                     ));
                 }
@@ -139,16 +147,19 @@ impl Scene {
                 return Err(SceneError::bad(
                     file,
                     format!("object {i}"),
-                    format!("it starts at triangle {} and not at {next}", o.first),
-                    "objects must follow one another in id order",
+                    format!(
+                        "the object starts at triangle {} instead of {next}",
+                        o.first
+                    ),
+                    "give the objects in id order, without gaps",
                 ));
             }
             if o.name.len() > MAX_NAME_BYTES {
                 return Err(SceneError::bad(
                     file,
                     format!("object {i}"),
-                    format!("its name is {} bytes long", o.name.len()),
-                    format!("shorten it to at most {MAX_NAME_BYTES} bytes"),
+                    format!("the name is {} bytes long", o.name.len()),
+                    format!("shorten the name to at most {MAX_NAME_BYTES} bytes"),
                 ));
             }
             next += u64::from(o.count);
@@ -157,8 +168,11 @@ impl Scene {
             return Err(SceneError::bad(
                 file,
                 "objects",
-                format!("they name {next} triangles of {}", triangles.len()),
-                "every triangle must belong to one object",
+                format!(
+                    "the objects contain {next} triangles, but the scene has {}",
+                    triangles.len()
+                ),
+                "assign every triangle to one object",
             ));
         }
         Ok(Self {
@@ -172,11 +186,11 @@ impl Scene {
         })
     }
 
-    /// Checks that all coordinates are within ±[`MAX_COORDINATE`]. Loaders and tracers call it; exact queries
-    /// accept any finite scene.
+    /// Checks that all coordinates are within ±[`MAX_COORDINATE`]. Loaders and tracers call this function;
+    /// exact queries accept any finite scene.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] with the first triangle that reaches farther.
+    /// [`SceneError::Bad`] with the first triangle that exceeds the range.
     pub fn check_reach(&self, file: &str) -> Result<(), SceneError> {
         let corner = |v: &Vec3| v.abs().max_element() > MAX_COORDINATE;
         let far = self
@@ -192,40 +206,43 @@ impl Scene {
             file,
             format!("triangle {i}, vertex {corner}"),
             format!(
-                "its position ({}, {}, {}) is beyond ±{MAX_COORDINATE:e}",
+                "the position ({}, {}, {}) is beyond ±{MAX_COORDINATE:e}",
                 v.x, v.y, v.z
             ),
-            "remove the vertex if it is astray, or move or scale the scene, and export again",
+            "remove a misplaced vertex, or move or scale the scene, and export again",
         ))
     }
 
-    /// The scene with the places of its objects in a glTF file, one for each, or none.
+    /// Returns the scene with the locations of its objects in a glTF file: one for each object, or none.
+    ///
+    /// `file` is the name of the source in errors.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when there is another number of them.
-    pub fn with_sources(self, file: &str, sources: Vec<Source>) -> Result<Self, SceneError> {
+    /// [`SceneError::Bad`] if the number of locations is neither 0 nor the number of objects.
+    pub fn with_sources(self, file: &str, sources: Vec<GltfLocation>) -> Result<Self, SceneError> {
         sources::check(file, &sources, self.objects.len())?;
         Ok(Self { sources, ..self })
     }
 
-    /// The places of the objects in their glTF file, in the order of the objects; empty for other files.
-    pub fn sources(&self) -> &[Source] {
+    /// Returns the locations of the objects in their glTF file, in the order of the objects. The slice is
+    /// empty for other files.
+    pub fn sources(&self) -> &[GltfLocation] {
         &self.sources
     }
 
-    /// The scene with other kinds of triangles.
+    /// Returns the scene with `kinds` in place of its kinds and masks.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the kinds are those of another number of triangles, or when some are masked.
+    /// [`SceneError::Bad`] if the kinds cover another number of triangles, or if triangles are masked.
     pub fn with_kinds(self, file: &str, kinds: Kinds) -> Result<Self, SceneError> {
         self.with_masks(file, kinds, Masks::none())
     }
 
-    /// The scene with other kinds of triangles, and the masks of the masked ones.
+    /// Returns the scene with `kinds` in place of its kinds, and with the masks of the masked triangles.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the kinds are those of another number of triangles, or the masks are not
-    /// those of the masked triangles.
+    /// [`SceneError::Bad`] if the kinds cover another number of triangles, or the masks do not cover exactly
+    /// the masked triangles.
     pub fn with_masks(self, file: &str, kinds: Kinds, masks: Masks) -> Result<Self, SceneError> {
         kinds.check(file, self.len())?;
         masks.check(file, &kinds)?;
@@ -236,48 +253,51 @@ impl Scene {
         })
     }
 
-    /// The kinds of the triangles.
+    /// Returns the kinds of the triangles.
     pub fn kinds(&self) -> &Kinds {
         &self.kinds
     }
 
-    /// The masks of the masked triangles.
+    /// Returns the masks of the masked triangles.
     pub fn masks(&self) -> &Masks {
         &self.masks
     }
 
-    /// Whether masked triangle `id` blocks the line from `origin` along `direction` where the line meets it.
-    pub fn mask_blocks(&self, id: u32, origin: [f32; 3], direction: [f32; 3]) -> bool {
+    /// Returns true if masked triangle `id` blocks the line from `origin` along `direction` at their
+    /// intersection.
+    pub fn mask_blocks(&self, id: TriangleId, origin: [f32; 3], direction: [f32; 3]) -> bool {
         self.masks
-            .block(id, self.triangles[id as usize].v, origin, direction)
+            .block(id, self.triangles[id.at()].v, origin, direction)
     }
 
-    /// The scene with other sides of triangles.
+    /// Returns the scene with `sides` in place of its sides.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the sides are those of another number of triangles.
+    /// [`SceneError::Bad`] if the sides cover another number of triangles.
     pub fn with_sides(self, file: &str, sides: Sides) -> Result<Self, SceneError> {
         sides.check(file, self.len())?;
         Ok(Self { sides, ..self })
     }
 
-    /// From which side each triangle is met.
+    /// Returns the sides from which lines meet the triangles.
     pub fn sides(&self) -> &Sides {
         &self.sides
     }
 
-    /// The normal of triangle `id` towards its front, of any length; zero when it is met from both sides.
+    /// Returns the normal of triangle `id` towards the front of the triangle, not normalised. The result is
+    /// zero if lines meet the triangle from both sides.
     ///
-    /// Lines whose direction has a positive product with it meet the triangle from behind. The cross product
-    /// of the edges e and f is rounded in `f64`, with an error of less than 2⁻⁵⁰ |e| |f|. So the sign can be
-    /// wrong only for lines within an angle of 2⁻⁵⁰ |e| |f| / |e × f| of the plane, which meet the triangle
-    /// edge-on: they are far fewer than those that single precision cannot tell from its border.
-    pub fn front(&self, id: u32) -> DVec3 {
+    /// Lines whose direction has a positive dot product with the normal meet the triangle from behind. The
+    /// cross product of the edges e and f is rounded in `f64`, with an error of less than 2⁻⁵⁰ |e| |f|. So
+    /// the sign can be wrong only for lines within an angle of 2⁻⁵⁰ |e| |f| / |e × f| of the plane, which
+    /// meet the triangle edge-on. There are far fewer such lines than lines that single precision cannot
+    /// distinguish from the triangle's border.
+    pub fn front(&self, id: TriangleId) -> DVec3 {
         let side = self.sides.side(id);
         if side == Side::Both {
             return DVec3::ZERO;
         }
-        let [a, b, c] = self.triangles[id as usize].v.map(|v| v.as_dvec3());
+        let [a, b, c] = self.triangles[id.at()].v.map(|v| v.as_dvec3());
         let normal = (b - a).cross(c - a);
         if side == Side::Clockwise {
             -normal
@@ -286,52 +306,58 @@ impl Scene {
         }
     }
 
-    /// Whether triangle `id` ends all sight lines: it has an area, and its kind blocks.
-    pub fn blocks(&self, id: u32) -> bool {
-        self.kinds.kind(id).blocks() && !self.triangles[id as usize].is_degenerate()
+    /// Returns true if triangle `id` ends all sight lines: it has an area, and its kind blocks.
+    pub fn blocks(&self, id: TriangleId) -> bool {
+        self.kinds.kind(id).blocks() && !self.triangles[id.at()].is_degenerate()
     }
 
-    /// Whether triangle `id` can be in a visibility set: it has an area, and its kind shows.
-    pub fn shows(&self, id: u32) -> bool {
-        self.kinds.kind(id).shows() && !self.triangles[id as usize].is_degenerate()
+    /// Returns true if triangle `id` can be in a visibility set: it has an area, and its kind shows.
+    pub fn shows(&self, id: TriangleId) -> bool {
+        self.kinds.kind(id).shows() && !self.triangles[id.at()].is_degenerate()
     }
 
-    /// The triangles; index = id.
+    /// Returns the triangles. The index of a triangle is its id.
     pub fn triangles(&self) -> &[Triangle] {
         &self.triangles
     }
 
-    /// The objects, in id order.
+    /// Returns the objects, in id order.
     pub fn objects(&self) -> &[Object] {
         &self.objects
     }
 
-    /// Number of triangles, N.
+    /// Returns the number of triangles, N.
     pub fn len(&self) -> u32 {
-        // `new` refuses scenes whose count does not fit.
+        // `new` rejects scenes whose count does not fit.
         self.triangles.len() as u32
     }
 
-    /// Always false: a scene has at least one triangle.
+    /// Returns false, because a scene has at least one triangle.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
     }
 
-    /// The least box around all vertices.
+    /// Returns the smallest box around all vertices.
     pub fn bounds(&self) -> Aabb {
         self.bounds
     }
 
-    /// The canonical bytes, which are uploaded and digested. Little-endian: `SLSCENE1`, u32 N, u32 M, N × 9
-    /// f32, then M × (u32 count, u32 name length, name UTF-8). A scene with kinds begins with `SLSCENE2`,
-    /// and its kinds follow the objects: u32 R, R × (u8 kind, glob), u32 S, S × reason, u32 K, K × (u32
-    /// count, u8 kind, u32 reason), a glob or reason as u32 length and UTF-8. A scene whose alpha textures
-    /// were read begins with `SLSCENE4`, and its masks follow the kinds: u32 M, M × (u32 width, u32 height,
-    /// 2 × u8 wrap, one bit a texel), u32 P, P × (u32 first, u32 count, u32 mask), then six f32 a masked
-    /// triangle. A scene with sides, or that says where its objects are in a glTF file, begins with
-    /// `SLSCENE5` and u32 flags (1: with kinds, 2: with masks, 4: with sides, 8: with sources). Its sides
-    /// follow the objects: u32 R and R × (u32 count, u8 side). Its sources end it: M × (u32 node, u32 mesh,
-    /// u32 primitive, u32 instance or 2³² − 1).
+    /// Encodes the scene to its canonical bytes, which are uploaded and digested. All numbers are
+    /// little-endian.
+    ///
+    /// - The bytes are `SLSCENE1`, u32 N (triangles), u32 M (objects), N × 9 f32 (vertices), then M × (u32
+    ///   number of triangles, u32 name length in bytes, name UTF-8).
+    /// - A scene with kinds begins with `SLSCENE2`, and its kinds follow the objects: u32 R (rules), R × (u8
+    ///   kind, glob), u32 S (reasons), S × reason, u32 K (runs), K × (u32 count, u8 kind, u32 index of the
+    ///   reason). A glob or reason is a u32 length in bytes and UTF-8.
+    /// - A scene whose alpha textures were read begins with `SLSCENE4`, and its masks follow the kinds. First
+    ///   are u32 Q (masks) and Q × (u32 width, u32 height, 2 × u8 wrap mode, one bit per texel). Then follow
+    ///   u32 P (runs), P × (u32 first triangle, u32 count, u32 index of the mask), and six f32 (texture
+    ///   coordinates) per masked triangle.
+    /// - A scene with sides, or with the locations of its objects in a glTF file (sources), begins with
+    ///   `SLSCENE5` and u32 flags (1: with kinds, 2: with masks, 4: with sides, 8: with sources). Its sides
+    ///   follow the objects: u32 R (runs) and R × (u32 count, u8 side). Its sources are at the end: M × (u32
+    ///   node, u32 mesh, u32 primitive, u32 instance or 2³² − 1).
     pub fn to_blob(&self) -> Vec<u8> {
         let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
         let mut out = Vec::with_capacity(20 + self.triangles.len() * 36 + names);
@@ -339,7 +365,8 @@ impl Scene {
         out
     }
 
-    /// The canonical bytes, in parts.
+    /// Passes the canonical bytes to `take`, in pieces. If `with_sources` is false, the bytes do not contain
+    /// the locations of objects in a glTF file.
     fn each_part(&self, with_sources: bool, mut take: impl FnMut(&[u8])) {
         let with_kinds = self.kinds != Kinds::opaque();
         let with_sources = with_sources && !self.sources.is_empty();
@@ -396,10 +423,10 @@ impl Scene {
         }
     }
 
-    /// Reads canonical bytes. Counts are checked before memory is allocated for them.
+    /// Reads a scene from canonical bytes. The function checks all counts before it allocates memory.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] naming `source` when the bytes are not a canonical scene.
+    /// [`SceneError::Bad`] if the bytes are not a canonical scene. `source` is the file name in the error.
     pub fn from_blob(source: &str, bytes: &[u8]) -> Result<Self, SceneError> {
         let bad = |element: &str, reason: &str| {
             SceneError::bad(
@@ -417,43 +444,56 @@ impl Scene {
             (Some(BLOB_MAGIC), _) => (false, 0),
             (Some(BLOB_MAGIC_KINDS), _) => (false, HAS_KINDS),
             (Some(BLOB_MAGIC_MASKS), _) => (false, HAS_KINDS | HAS_MASKS),
-            // Sides or sources are there, and masks only with kinds.
+            // The scene must have sides or sources, and masks require kinds.
             (Some(BLOB_MAGIC_FLAGS), Some(flags @ 4..16)) if flags & 3 != HAS_MASKS => {
                 (true, flags)
             }
-            _ => return Err(bad("header", "it is not a canonical scene")),
+            _ => {
+                return Err(bad(
+                    "header",
+                    "the bytes do not start with the header of a canonical scene",
+                ));
+            }
         };
         let head = if flagged { 12 } else { 8 };
         let (Some(n), Some(m)) = (u32_at(head), u32_at(head + 4)) else {
-            return Err(bad("header", "it is cut short"));
+            return Err(bad("header", "the bytes end within the header"));
         };
         let head = head + 8;
         let body = (n as usize)
             .checked_mul(36)
             .and_then(|len| bytes.get(head..head.checked_add(len)?))
-            .ok_or_else(|| bad("triangles", "the header counts more than there are"))?;
+            .ok_or_else(|| {
+                bad(
+                    "triangles",
+                    "the header counts more triangles than the bytes contain",
+                )
+            })?;
         let mut triangles = vec![Triangle::zeroed(); n as usize];
         bytemuck::cast_slice_mut(&mut triangles).copy_from_slice(body);
         if cfg!(target_endian = "big") {
             swap_bytes(&mut triangles);
         }
         let mut at = head + body.len();
-        // Each object takes at least eight bytes, so the count is checked against what is left.
+        // Each object needs at least eight bytes, so the count is checked against the remaining bytes.
         if (m as usize) > (bytes.len() - at) / 8 {
-            return Err(bad("objects", "the header counts more than there are"));
+            return Err(bad(
+                "objects",
+                "the header counts more objects than the bytes contain",
+            ));
         }
         let mut objects = Vec::with_capacity(m as usize);
         let mut first = 0u32;
         for i in 0..m {
             let element = format!("object {i}");
             let (Some(count), Some(len)) = (u32_at(at), u32_at(at + 4)) else {
-                return Err(bad(&element, "it is cut short"));
+                return Err(bad(&element, "the bytes end within the object"));
             };
             at += 8;
             let name = bytes
                 .get(at..at.saturating_add(len as usize))
                 .and_then(|b| std::str::from_utf8(b).ok())
-                .ok_or_else(|| bad(&element, "its name is cut short or not UTF-8"))?;
+                .ok_or_else(|| bad(&element, "the name is cut short or not UTF-8"))?;
             at += len as usize;
             objects.push(Object {
                 name: name.to_owned(),
@@ -463,7 +503,12 @@ impl Scene {
             first = first
                 .checked_add(count)
                 .filter(|f| *f <= n)
-                .ok_or_else(|| bad(&element, "it names more triangles than there are"))?;
+                .ok_or_else(|| {
+                    bad(
+                        &element,
+                        "the objects together have more triangles than the scene",
+                    )
+                })?;
         }
         let has = |flag: u32| flags & flag != 0;
         let count = objects.len();
@@ -474,7 +519,12 @@ impl Scene {
                 .map(|length| at + length),
             false => Some(bytes.len()),
         };
-        let end = end.ok_or_else(|| bad("sources", "there is not one source for each object"))?;
+        let end = end.ok_or_else(|| {
+            bad(
+                "sources",
+                "the number of glTF locations differs from the number of objects",
+            )
+        })?;
         let places = sources::read(&bytes[end..], if has(HAS_SOURCES) { count } else { 0 })
             .map_err(|why| bad("sources", why))?;
         let (sides, rest) = match has(HAS_SIDES) {
@@ -490,7 +540,7 @@ impl Scene {
             false => (Masks::none(), rest),
         };
         if !rest.is_empty() {
-            return Err(bad("end", "there are bytes after the scene"));
+            return Err(bad("end", "further bytes follow the scene"));
         }
         let scene = scene
             .with_sources(source, places)?
@@ -498,13 +548,13 @@ impl Scene {
         scene.with_masks(source, kinds, masks)
     }
 
-    /// BLAKE3 of [`Scene::to_blob`].
+    /// Returns the BLAKE3 digest of [`Scene::to_blob`].
     pub fn digest(&self) -> SceneDigest {
         self.digest_of(true)
     }
 
-    /// The digest that versions of the program had which did not keep where objects are in a glTF file.
-    /// Results of these versions name it.
+    /// Returns the digest without the locations of objects in a glTF file. Results of program versions that
+    /// did not store these locations contain this digest.
     pub fn digest_without_sources(&self) -> SceneDigest {
         self.digest_of(false)
     }
@@ -518,7 +568,7 @@ impl Scene {
     }
 }
 
-/// Turns coordinates from this machine's byte order into the file's, or back, where the two differ.
+/// Reverses the bytes of each coordinate, for machines whose byte order is not little-endian.
 fn swap_bytes(triangles: &mut [Triangle]) {
     for bits in bytemuck::cast_slice_mut::<_, u32>(triangles) {
         *bits = bits.swap_bytes();

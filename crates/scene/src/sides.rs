@@ -1,31 +1,34 @@
-//! From which side a triangle is met: from both, or from its front alone when back faces are culled.
+//! The sides from which lines meet triangles: both sides, or only the front if back faces are culled.
 //!
-//! A triangle with one side neither shows nor blocks along a line that meets it from behind. Its front is the
-//! side from which its vertices run counter-clockwise. A node whose transform mirrors turns that around (glTF
-//! 2.0, section 3.7.4, "Instantiation"); vertices keep their order, and the side is stored instead. Loaders
-//! find the sides, and only when the user asks for culling.
+//! A triangle with one side neither shows nor blocks along a line that meets the triangle from behind. The
+//! front is the side from which the vertices run counter-clockwise. A node whose transform mirrors reverses
+//! the front (glTF 2.0, section 3.7.4, "Instantiation"). Vertices keep their order, and the side is stored
+//! instead. Loaders determine the sides only if the user requests culling.
+
+use sightline_numbers::ids::TriangleId;
 
 use crate::SceneError;
 
-/// From which side a triangle is met.
+/// The side from which lines meet a triangle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Side {
-    /// From both.
+    /// Both sides of the triangle.
     #[default]
     Both = 0,
-    /// From where its vertices run counter-clockwise.
+    /// The side from which the vertices run counter-clockwise.
     CounterClockwise = 1,
-    /// From where its vertices run clockwise: a mirrored triangle.
+    /// The side from which the vertices run clockwise: a mirrored triangle.
     Clockwise = 2,
 }
 
 impl Side {
-    /// All sides, by number.
+    /// The list of all sides. The index of a side is its number in files.
     pub const ALL: [Self; 3] = [Self::Both, Self::CounterClockwise, Self::Clockwise];
 
-    /// The side of a triangle that a transform mirrors or not.
-    pub const fn of(double_sided: bool, mirrored: bool) -> Self {
+    /// Returns the side from which lines meet a triangle. `mirrored` is true if the transform of the
+    /// triangle's node mirrors.
+    pub const fn new(double_sided: bool, mirrored: bool) -> Self {
         match (double_sided, mirrored) {
             (true, _) => Self::Both,
             (false, false) => Self::CounterClockwise,
@@ -37,66 +40,73 @@ impl Side {
 /// The sides of all triangles of a scene.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sides {
-    /// By triangle; empty when all are met from both sides.
-    of: Vec<Side>,
+    /// The sides by triangle. Empty if lines meet all triangles from both sides.
+    by_triangle: Vec<Side>,
 }
 
 impl Sides {
-    /// All triangles are met from both sides.
+    /// Creates sides with [`Side::Both`] for all triangles.
     pub fn both() -> Self {
         Self::default()
     }
 
-    /// The sides given by runs of (number of triangles, side) in id order.
+    /// Creates sides from runs of (number of triangles, side) in id order.
     pub fn from_runs(runs: impl IntoIterator<Item = (u32, Side)>) -> Self {
         let mut sides = Vec::new();
         runs.into_iter()
             .for_each(|(count, side)| sides.resize(sides.len() + count as usize, side));
         match sides.iter().all(|s| *s == Side::Both) {
             true => Self::both(),
-            false => Self { of: sides },
+            false => Self { by_triangle: sides },
         }
     }
 
-    /// The side of a triangle.
-    pub fn side(&self, triangle: u32) -> Side {
-        self.of.get(triangle as usize).copied().unwrap_or_default()
+    /// Returns the side from which lines meet a triangle. Ids that the sides do not cover have
+    /// [`Side::Both`].
+    pub fn side(&self, triangle: TriangleId) -> Side {
+        self.by_triangle
+            .get(triangle.at())
+            .copied()
+            .unwrap_or_default()
     }
 
-    /// Whether every triangle is met from both sides.
+    /// Returns true if every triangle has [`Side::Both`].
     pub fn are_both(&self) -> bool {
-        self.of.is_empty()
+        self.by_triangle.is_empty()
     }
 
-    /// How many triangles have one side.
+    /// Returns the number of triangles that lines meet from one side only.
     pub fn one_sided(&self) -> u64 {
-        self.of.iter().filter(|s| **s != Side::Both).count() as u64
+        self.by_triangle
+            .iter()
+            .filter(|s| **s != Side::Both)
+            .count() as u64
     }
 
-    /// Checks that there are sides for `triangles` triangles.
+    /// Checks that the sides cover `triangles` triangles, or are [`Side::Both`] for all triangles.
     pub(crate) fn check(&self, file: &str, triangles: u32) -> Result<(), SceneError> {
-        if self.of.is_empty() || self.of.len() == triangles as usize {
+        if self.by_triangle.is_empty() || self.by_triangle.len() == triangles as usize {
             return Ok(());
         }
         Err(SceneError::bad(
             file,
             "sides",
             format!(
-                "they are given for {} triangles of {triangles}",
-                self.of.len()
+                "the sides cover {} triangles, but the scene has {triangles}",
+                self.by_triangle.len()
             ),
             "upload the scene again with this version of the program",
         ))
     }
 }
 
-/// Bytes of an encoded run.
+/// The number of bytes of an encoded run.
 const RUN_BYTES: usize = 5;
 
-/// Appends the section of a scene's canonical bytes. Little-endian: u32 R, then R runs of (u32 count,
-/// u8 side).
+/// Appends the section of a scene's canonical bytes that contains the sides. Little-endian: u32 R, then R
+/// runs of (u32 count, u8 side).
 pub(crate) fn write(sides: &Sides, out: &mut Vec<u8>) {
-    let runs = sides.of.chunk_by(|a, b| a == b);
+    let runs = sides.by_triangle.chunk_by(|a, b| a == b);
     out.extend_from_slice(&(runs.clone().count() as u32).to_le_bytes());
     for run in runs {
         out.extend_from_slice(&(run.len() as u32).to_le_bytes());
@@ -104,7 +114,8 @@ pub(crate) fn write(sides: &Sides, out: &mut Vec<u8>) {
     }
 }
 
-/// Reads the section that [`write`] appends from the beginning of `bytes`; returns the bytes after it too.
+/// Reads the section that [`write`] appends from the beginning of `bytes`, and returns the sides and the
+/// remaining bytes. `triangles` is the number of triangles that the runs must cover.
 pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<(Sides, &[u8]), &'static str> {
     let short = "the sides are cut short";
     let (head, rest) = bytes.split_first_chunk::<4>().ok_or(short)?;
@@ -119,12 +130,12 @@ pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<(Sides, &[u8]), &'sta
         let side = Side::ALL
             .get(usize::from(run[4]))
             .copied()
-            .ok_or("a side is unknown")?;
+            .ok_or("the number of a side is above 2")?;
         covered += u64::from(count);
         if count == 0 || covered > u64::from(triangles) {
             return Err("a run of sides is empty or reaches beyond the triangles");
         }
-        // One scene has one encoding.
+        // Each scene has one encoding.
         if read.last().is_some_and(|last| last.1 == side) {
             return Err("the sides are not in their canonical form");
         }
@@ -135,7 +146,7 @@ pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<(Sides, &[u8]), &'sta
     }
     let sides = Sides::from_runs(read);
     match sides.are_both() {
-        // Such a scene has no section.
+        // A scene with these sides has no section.
         true => Err("the sides are not in their canonical form"),
         false => Ok((sides, rest)),
     }
@@ -149,14 +160,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sides_are_read_as_they_were_written(
+        fn sides_survive_encoding(
             runs in prop::collection::vec((1u32..50, (0usize..3).prop_map(|s| Side::ALL[s])), 1..20),
             cut in any::<prop::sample::Index>(),
         ) {
             let truth: Vec<Side> = runs.iter().flat_map(|(n, s)| vec![*s; *n as usize]).collect();
             let triangles = truth.len() as u32;
             let sides = Sides::from_runs(runs);
-            (0..triangles).for_each(|t| assert_eq!(sides.side(t), truth[t as usize]));
+            (0..triangles).for_each(|t| assert_eq!(sides.side(TriangleId(t)), truth[t as usize]));
             prop_assert_eq!(sides.one_sided(), truth.iter().filter(|s| **s != Side::Both).count() as u64);
             let mut bytes = Vec::new();
             write(&sides, &mut bytes);
@@ -174,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_are_not_canonical_sides_are_refused() {
+    fn rejects_non_canonical_sides() {
         let run = |count: u32, side: u8| [&count.to_le_bytes()[..], &[side]].concat();
         let section =
             |runs: &[Vec<u8>]| [&(runs.len() as u32).to_le_bytes()[..], &runs.concat()].concat();
@@ -192,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn a_mirrored_triangle_is_turned_unless_it_has_both_sides() {
-        assert_eq!(Side::of(false, false), Side::CounterClockwise);
-        assert_eq!(Side::of(false, true), Side::Clockwise);
+    fn mirrored_triangle_is_clockwise_unless_double_sided() {
+        assert_eq!(Side::new(false, false), Side::CounterClockwise);
+        assert_eq!(Side::new(false, true), Side::Clockwise);
         assert_eq!(
-            [Side::of(true, false), Side::of(true, true)],
+            [Side::new(true, false), Side::new(true, true)],
             [Side::Both; 2]
         );
     }

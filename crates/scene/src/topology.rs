@@ -1,24 +1,28 @@
 //! Topology of a triangle soup: its closed solids, the directions they face, and duplicate triangles.
-//! Vertices are equal when their coordinates are equal bit for bit (−0 = 0); vertices within a distance are
-//! not welded, and intersections of solids are not detected.
+//!
+//! Vertices are equal if their coordinates are equal bit for bit (−0 = 0). Near vertices are not welded, and
+//! intersections of solids are not detected.
 
 use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_geometry::predicates::{Sum, det3, det3_terms, orient3d_sign};
+use sightline_numbers::ids::TriangleId;
 use sightline_numbers::random::mix;
 use sightline_numbers::union_find::UnionFind;
 
 use crate::{Scene, SceneError, Triangle};
 
-/// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
+/// The closed solids of a scene: for each triangle, the direction in which its normal crosses the surface of
+/// a closed solid, if the triangle bounds one.
 ///
-/// A surface is a set of triangles connected by shared edges. It is closed when each of its edges is used by
-/// exactly two of its triangles, in opposite directions; triangles without area are ignored. The inner shell
-/// of a hollow body is a separate surface, and the cavity counts as its inside.
+/// A surface is a set of triangles connected by shared edges. A surface is closed if exactly two triangles
+/// use each edge, in opposite directions. Triangles without area are ignored. The inner shell of a hollow
+/// body is a separate surface, and the cavity counts as its inside.
 pub struct Solids {
-    /// +1: the normal points out of the solid, −1: into it, 0: no closed solid.
+    /// The direction of the normal of each triangle, by id: +1 out of the solid, −1 into the solid, 0 if the
+    /// triangle does not bound a closed solid.
     facing: Vec<i8>,
 }
 
@@ -26,25 +30,26 @@ impl Solids {
     /// Finds the closed solids of `scene` by sorting its vertices and edges.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the scene has more than 2³²/3 triangles, whose vertices cannot be numbered.
-    pub fn of(scene: &Scene) -> Result<Self, SceneError> {
+    /// [`SceneError::Bad`] if the scene has more than 1 431 655 765 triangles, because their corners are
+    /// numbered with 32 bits.
+    pub fn find(scene: &Scene) -> Result<Self, SceneError> {
         Self::among(scene, |_| true)
     }
 
-    /// The closed solids of the triangles that block. The others are left out before: a surface that a
-    /// see-through triangle completes is open.
+    /// Finds the closed solids of the triangles that block all sight lines. Other triangles are ignored: a
+    /// surface that only a see-through triangle closes is not a closed solid.
     ///
     /// # Errors
-    /// As [`Solids::of`].
-    pub fn of_blocking(scene: &Scene) -> Result<Self, SceneError> {
-        Self::among(scene, |id| scene.blocks(id))
+    /// The errors of [`Solids::find`].
+    pub fn find_blocking(scene: &Scene) -> Result<Self, SceneError> {
+        Self::among(scene, |id| scene.blocks(TriangleId(id)))
     }
 
     fn among(scene: &Scene, counts: impl Fn(u32) -> bool) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let n = scene.triangles().len();
-        // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs
-        // upwards.
+        // One key for each directed edge: smaller vertex, larger vertex, triangle, and a bit for the
+        // ascending direction.
         let mut edges: Vec<u128> = Vec::with_capacity(3 * n);
         let solid: Vec<bool> = (0..)
             .zip(scene.triangles())
@@ -99,22 +104,26 @@ impl Solids {
         Ok(Self { facing })
     }
 
-    /// +1 when the normal (v1 − v0) × (v2 − v0) of triangle `id` points out of the closed solid it bounds, −1
-    /// when it points in, `None` when it bounds none (or one of no volume, or `id` is not in the scene).
-    pub fn outward(&self, id: u32) -> Option<f32> {
+    /// Returns +1 if the normal (v1 − v0) × (v2 − v0) of triangle `id` points out of its closed solid, −1 if
+    /// the normal points in.
+    ///
+    /// Returns `None` if the triangle does not bound a closed solid with a volume, or if `id` is not in the
+    /// scene.
+    pub fn outward(&self, id: TriangleId) -> Option<f32> {
         self.facing
-            .get(id as usize)
+            .get(id.at())
             .filter(|f| **f != 0)
             .map(|f| f32::from(*f))
     }
 
-    /// Whether `p` lies on the outer side of triangle `id`'s plane. A sample whose pixels are mostly of that
-    /// triangle is then an exterior sample (Nirenstein and Blake 2004, section 3.6). `None` when the triangle
-    /// bounds no closed solid, or `p` lies on its plane. `scene` must be the scene that `self` was computed
-    /// from.
-    pub fn exterior(&self, scene: &Scene, id: u32, p: Vec3) -> Option<bool> {
-        let facing = *self.facing.get(id as usize)?;
-        let [a, b, c] = scene.triangles().get(id as usize)?.v;
+    /// Returns true if `p` is on the outer side of triangle `id`'s plane.
+    ///
+    /// If most pixels of a sample at `p` show such triangles, `p` is outside the solids (exterior sample in
+    /// Nirenstein and Blake 2004, section 3.6). Returns `None` if the triangle does not bound a closed solid,
+    /// or if `p` is in its plane. `scene` must be the scene that `self` was computed from.
+    pub fn exterior(&self, scene: &Scene, id: TriangleId, p: Vec3) -> Option<bool> {
+        let facing = *self.facing.get(id.at())?;
+        let [a, b, c] = scene.triangles().get(id.at())?.v;
         match (facing, orient3d_sign(a, b, c, p)) {
             (0, _) | (_, Ordering::Equal) => None,
             (f, side) => Some((f > 0) == (side == Ordering::Greater)),
@@ -122,20 +131,22 @@ impl Solids {
     }
 }
 
-/// Classes of two or more triangles with the same three vertices in any order, each ascending, in the order
-/// of their first ids. Triangles without area are left out.
+/// Finds the classes of duplicates: two or more triangles with the same three vertices in any order.
+///
+/// Each class contains ascending ids, and the classes are in the order of their first ids. Triangles without
+/// area are in no class.
 ///
 /// # Errors
-/// As [`Solids::of`].
+/// The errors of [`Solids::find`].
 pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
     check_size(scene)?;
     Ok(classes(scene.triangles(), hash))
 }
 
-/// [`duplicates`] with a hash of positions.
+/// Computes the result of [`duplicates`] for the triangles `all`, with the given hash of positions.
 fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>> {
-    // Equal triangles become neighbours by sorting with a hash that does not depend on the order of the
-    // vertices.
+    // The hash does not depend on the order of the vertices, so a sort by hash makes equal triangles
+    // neighbours.
     let mut keys: Vec<(u64, u32)> = all
         .par_iter()
         .enumerate()
@@ -172,14 +183,15 @@ fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>>
     classes
 }
 
-/// A position's bits, equal exactly where its coordinates are: 96 bits, x uppermost.
+/// Returns the bits of a position: 96 bits, with x in the highest bits. Two results are equal exactly if the
+/// coordinates are equal (−0 = 0).
 pub fn position(v: Vec3) -> u128 {
-    // Adding 0 turns −0 into 0 and changes nothing else.
+    // Adding 0 turns −0 into 0 and preserves all other values.
     let bits = |c: f32| u128::from((c + 0.0).to_bits());
     bits(v.x) << 64 | bits(v.y) << 32 | bits(v.z)
 }
 
-/// Spreads a position over 64 bits: x and y, then z.
+/// Computes a 64-bit hash of the result of [`position`].
 pub fn hash(position: u128) -> u64 {
     mix((position >> 32) as u64).wrapping_add(mix(u64::from(position as u32)))
 }
@@ -187,7 +199,7 @@ pub fn hash(position: u128) -> u64 {
 /// Checks that the corners of a scene can be numbered with 32 bits.
 ///
 /// # Errors
-/// As [`Solids::of`].
+/// The errors of [`Solids::find`].
 pub fn check_size(scene: &Scene) -> Result<(), SceneError> {
     let corners = scene.triangles().len() as u64 * 3;
     if corners <= u64::from(u32::MAX) {
@@ -196,20 +208,20 @@ pub fn check_size(scene: &Scene) -> Result<(), SceneError> {
     Err(SceneError::bad(
         "scene",
         "vertices",
-        format!("its {corners} triangle corners are more than can be numbered"),
+        format!("{corners} triangle corners are more than 32 bits can number"),
         "split the scene into parts of at most 1 431 655 765 triangles",
     ))
 }
 
-/// A number for each corner (three for each triangle); corners have equal numbers exactly when their
-/// positions are equal.
+/// Returns a vertex number for each corner, three for each triangle in id order. Corners have equal numbers
+/// exactly if their positions are equal.
 ///
 /// # Errors
-/// As [`Solids::of`].
+/// The errors of [`Solids::find`].
 pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
     check_size(scene)?;
     let corners = scene.triangles().len() as u64 * 3;
-    // Position in the upper 96 bits, corner in the lower 32.
+    // The position is in the upper 96 bits, and the corner in the lower 32.
     let mut keys: Vec<u128> = Vec::with_capacity(corners as usize);
     for v in scene.triangles().iter().flat_map(|t| &t.v) {
         keys.push(position(*v) << 32 | keys.len() as u128);
@@ -224,12 +236,13 @@ pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
     Ok(ids)
 }
 
-/// The sign of the volume of each closed surface, at its root's index.
+/// Computes the sign of the volume of each closed surface, at the index of the surface's root in `roots`.
 ///
-/// The sum is rounded at first: with o a vertex of the surface and n triangles, each term's error is at most
-/// 10u times its products' magnitudes (see [`orient3d_sign`]) and adding n terms loses at most about nu times
-/// their sum, so (n + 16)·2u times the sum of magnitudes is a safe bound for n < 2³². Where it leaves the
-/// sign open, the terms are added exactly, which needs no reference point.
+/// The sum is rounded first. Let o be a vertex of the surface and n the number of triangles. Each term's
+/// error is at most 10u times the magnitudes of its products (see [`orient3d_sign`]), and adding n terms
+/// loses at most about nu times their sum. So (n + 16)·2u times the sum of magnitudes is a safe bound for n <
+/// 2³². If the bound does not determine the sign, the terms are added exactly, which needs no reference
+/// point.
 fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) -> Vec<Ordering> {
     let n = roots.len();
     let mut total = vec![(0.0f64, 0.0f64, 0u32); n];
@@ -251,7 +264,7 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
         .iter()
         .map(|s| s.0.partial_cmp(&0.0).unwrap_or(Ordering::Equal))
         .collect();
-    // The triangles of surfaces whose sign is open, grouped by surface.
+    // The triangles of surfaces whose sign the bound does not determine, grouped by surface.
     let mut again: Vec<(u32, u32)> = (0..n)
         .filter(|id| counts(*id) && open(&total[roots[*id] as usize]))
         .map(|id| (roots[id], id as u32))
@@ -273,9 +286,9 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Kind, Kinds, Object};
+    use crate::{Kinds, Object, SurfaceKind};
 
-    /// The twelve triangles of a box, facing outwards.
+    /// Creates the twelve triangles of a box, facing outwards.
     fn cube(at: Vec3, size: f32) -> Vec<Triangle> {
         let p =
             |i: u32| at + size * Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32);
@@ -314,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn cubes_face_out_flipped_cubes_in_and_open_ones_neither() {
+    fn cubes_face_out_flipped_cubes_in_and_open_cubes_neither() {
         let mut soup = cube(Vec3::ZERO, 1.0);
         soup.extend(cube(Vec3::splat(1e6), 0.5).iter().map(flipped));
         soup.extend_from_slice(&cube(Vec3::splat(-9.0), 1.0)[..11]);
@@ -322,20 +335,26 @@ mod tests {
         twisted[5] = flipped(&twisted[5]);
         soup.extend(twisted);
         let s = scene(soup);
-        let solids = Solids::of(&s).unwrap();
-        let facing: Vec<Option<f32>> = (0..47).map(|id| solids.outward(id)).collect();
+        let solids = Solids::find(&s).unwrap();
+        let facing: Vec<Option<f32>> = (0..47).map(|id| solids.outward(TriangleId(id))).collect();
         assert_eq!(facing[..12], [Some(1.0); 12]);
         assert_eq!(facing[12..24], [Some(-1.0); 12]);
         assert_eq!(facing[24..], [None; 23]);
-        assert_eq!(solids.outward(47), None);
+        assert_eq!(solids.outward(TriangleId(47)), None);
         assert_eq!(
-            solids.exterior(&s, 0, Vec3::new(0.5, 0.5, -1.0)),
+            solids.exterior(&s, TriangleId(0), Vec3::new(0.5, 0.5, -1.0)),
             Some(true)
         );
-        assert_eq!(solids.exterior(&s, 0, Vec3::splat(0.5)), Some(false));
-        assert_eq!(solids.exterior(&s, 0, Vec3::new(7.0, 7.0, 0.0)), None);
         assert_eq!(
-            solids.exterior(&s, 12, Vec3::splat(1e6 + 0.25)),
+            solids.exterior(&s, TriangleId(0), Vec3::splat(0.5)),
+            Some(false)
+        );
+        assert_eq!(
+            solids.exterior(&s, TriangleId(0), Vec3::new(7.0, 7.0, 0.0)),
+            None
+        );
+        assert_eq!(
+            solids.exterior(&s, TriangleId(12), Vec3::splat(1e6 + 0.25)),
             Some(false)
         );
     }
@@ -349,35 +368,40 @@ mod tests {
         soup.push(Triangle {
             v: [Vec3::ZERO, Vec3::X, Vec3::X * 0.5],
         });
-        let solids = Solids::of(&scene(soup)).unwrap();
-        assert_eq!(solids.outward(0), Some(1.0));
-        assert_eq!(solids.outward(12), None);
-        assert_eq!(solids.outward(13), None);
+        let solids = Solids::find(&scene(soup)).unwrap();
+        assert_eq!(solids.outward(TriangleId(0)), Some(1.0));
+        assert_eq!(solids.outward(TriangleId(12)), None);
+        assert_eq!(solids.outward(TriangleId(13)), None);
     }
 
     #[test]
-    fn a_see_through_side_leaves_a_solid_of_blocking_triangles_open() {
+    fn see_through_side_opens_solid_of_blocking_triangles() {
         let kinds = |see_through: u32| {
             let runs = [
-                (12 - see_through, Kind::Opaque, "a test"),
-                (see_through, Kind::SeeThrough, "a test"),
+                (12 - see_through, SurfaceKind::Opaque, "a test"),
+                (see_through, SurfaceKind::SeeThrough, "a test"),
             ];
             let runs = runs.into_iter().filter(|r| r.0 > 0);
             scene(cube(Vec3::ZERO, 1.0))
                 .with_kinds("test", Kinds::from_runs(runs, Vec::new()))
                 .unwrap()
         };
-        assert_eq!(Solids::of(&kinds(1)).unwrap().outward(0), Some(1.0));
-        let open = Solids::of_blocking(&kinds(1)).unwrap();
-        assert!((0..12).all(|id| open.outward(id).is_none()));
         assert_eq!(
-            Solids::of_blocking(&kinds(0)).unwrap().outward(0),
+            Solids::find(&kinds(1)).unwrap().outward(TriangleId(0)),
+            Some(1.0)
+        );
+        let open = Solids::find_blocking(&kinds(1)).unwrap();
+        assert!((0..12).all(|id| open.outward(TriangleId(id)).is_none()));
+        assert_eq!(
+            Solids::find_blocking(&kinds(0))
+                .unwrap()
+                .outward(TriangleId(0)),
             Some(1.0)
         );
     }
 
     #[test]
-    fn a_doubled_sheet_has_no_inside() {
+    fn doubled_sheet_has_no_inside() {
         let t = Triangle {
             v: [
                 Vec3::new(1.1, 2.3, 0.7),
@@ -385,13 +409,16 @@ mod tests {
                 Vec3::new(0.2, 0.9, 8.7),
             ],
         };
-        let solids = Solids::of(&scene(vec![t, flipped(&t)])).unwrap();
-        assert_eq!((solids.outward(0), solids.outward(1)), (None, None));
+        let solids = Solids::find(&scene(vec![t, flipped(&t)])).unwrap();
+        assert_eq!(
+            (solids.outward(TriangleId(0)), solids.outward(TriangleId(1))),
+            (None, None)
+        );
     }
 
     #[test]
-    fn a_flat_far_tetrahedron_is_decided_exactly() {
-        // One unit in the last place high, far from the origin.
+    fn flat_far_tetrahedron_is_decided_exactly() {
+        // The height is one unit in the last place, far from the origin.
         let s = 8_388_608.0f32;
         let p = [
             [s, s, s],
@@ -406,11 +433,18 @@ mod tests {
             .map(|f| Triangle { v: f.map(|i| p[i]) })
             .collect();
         assert_eq!(
-            Solids::of(&scene(soup.clone())).unwrap().outward(2),
+            Solids::find(&scene(soup.clone()))
+                .unwrap()
+                .outward(TriangleId(2)),
             Some(1.0)
         );
         let inverted: Vec<Triangle> = soup.iter().map(flipped).collect();
-        assert_eq!(Solids::of(&scene(inverted)).unwrap().outward(2), Some(-1.0));
+        assert_eq!(
+            Solids::find(&scene(inverted))
+                .unwrap()
+                .outward(TriangleId(2)),
+            Some(-1.0)
+        );
     }
 
     #[test]
@@ -419,7 +453,10 @@ mod tests {
         for v in &mut soup[3].v {
             *v = v.map(|c| if c == 0.0 { -0.0 } else { c });
         }
-        assert_eq!(Solids::of(&scene(soup)).unwrap().outward(3), Some(1.0));
+        assert_eq!(
+            Solids::find(&scene(soup)).unwrap().outward(TriangleId(3)),
+            Some(1.0)
+        );
     }
 
     #[test]
@@ -457,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_of_one_hash_are_still_told_apart() {
+    fn triangles_of_one_hash_are_distinguished() {
         let soup = cube(Vec3::ZERO, 1.0);
         let again = [flipped(&soup[7]), soup[2], soup[7]];
         let soup = [

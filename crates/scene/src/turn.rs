@@ -1,6 +1,6 @@
-//! Cosine and sine by Taylor series: the platforms' own functions differ in the last bit.
+//! Cosine and sine by Taylor series, because the math libraries of platforms differ in the last bit.
 
-/// Cosine and sine of an angle in quarters of a full turn.
+/// Returns the cosine and sine of the angle `quarters`, whose unit is a quarter of a full turn.
 pub(crate) fn of_quarters(quarters: f64) -> (f64, f64) {
     let nearest = (quarters + 0.5).floor();
     let x = (quarters - nearest) * std::f64::consts::FRAC_PI_2;

@@ -1,4 +1,4 @@
-//! Alpha textures of glTF files: where masks come from, where they lie on triangles, and what is refused.
+//! Alpha textures of glTF files: the sources of masks, their positions on triangles, and rejected textures.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -6,19 +6,19 @@ mod support;
 
 use base64::Engine as _;
 use serde_json::{Value, json};
-use sightline_scene::kinds::{Kind, Rule};
-use sightline_scene::load::{Loaded, Options, load_bytes_with, load_with};
-use sightline_scene::{Scene, SceneError};
+use sightline_scene::kinds::{KindRule, SurfaceKind};
+use sightline_scene::load::{LoadOptions, LoadedScene, load_bytes_with, load_with};
+use sightline_scene::{Scene, SceneError, TriangleId};
 use support::{Gltf, SQUARE, card, png};
 
-fn with_alpha() -> Options {
-    Options {
+fn with_alpha() -> LoadOptions {
+    LoadOptions {
         alpha_textures: true,
-        ..Options::default()
+        ..LoadOptions::default()
     }
 }
 
-fn load(g: &Gltf) -> Loaded {
+fn load(g: &Gltf) -> LoadedScene {
     load_bytes_with("test.glb", &g.glb(), None, &with_alpha()).unwrap()
 }
 
@@ -28,18 +28,22 @@ fn refusal(g: &Gltf) -> String {
     error.to_string()
 }
 
-fn kinds(scene: &Scene) -> Vec<Kind> {
-    (0..scene.len()).map(|t| scene.kinds().kind(t)).collect()
+fn kinds(scene: &Scene) -> Vec<SurfaceKind> {
+    (0..scene.len())
+        .map(|t| scene.kinds().kind(TriangleId(t)))
+        .collect()
 }
 
-/// The square in 4 × 2 parts, from above and from the left as an image shows them; x where they block.
+/// Draws the square in 4 × 2 parts, from above and from the left as in an image: x for a blocking part.
 fn drawn(scene: &Scene) -> [String; 2] {
     [0.75f32, 0.25].map(|y| {
         let at = |i: u8| {
             let x = 0.125 + f32::from(i) * 0.25;
             // The square's first triangle is below its diagonal.
             let id = u32::from(y > x);
-            let hit = |from: f32, to: f32| scene.mask_blocks(id, [x, y, from], [0.0, 0.0, to]);
+            let hit = |from: f32, to: f32| {
+                scene.mask_blocks(TriangleId(id), [x, y, from], [0.0, 0.0, to])
+            };
             assert_eq!(hit(1.0, -1.0), hit(-2.0, 0.5), "the same from both sides");
             if hit(1.0, -1.0) { 'x' } else { '.' }
         };
@@ -48,10 +52,10 @@ fn drawn(scene: &Scene) -> [String; 2] {
 }
 
 #[test]
-fn a_card_blocks_where_its_texels_do() {
+fn card_blocks_at_blocking_texels() {
     let g = card(&[0, 1, 6], |_| {});
     let loaded = load(&g);
-    assert_eq!(kinds(&loaded.scene), [Kind::Masked; 2]);
+    assert_eq!(kinds(&loaded.scene), [SurfaceKind::Masked; 2]);
     assert_eq!(drawn(&loaded.scene), ["..xx", "xx.x"]);
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
     let [count] = &loaded.scene.kinds().counts()[..] else {
@@ -59,7 +63,7 @@ fn a_card_blocks_where_its_texels_do() {
     };
     assert_eq!(
         (count.kind, count.reason.as_str(), count.triangles),
-        (Kind::Masked, "alphaMode MASK", 2)
+        (SurfaceKind::Masked, "alphaMode MASK", 2)
     );
     // The masks are part of the canonical bytes and of the digest.
     let blob = loaded.scene.to_blob();
@@ -79,21 +83,21 @@ fn a_card_blocks_where_its_texels_do() {
         changed.resize(end, 0);
         assert!(Scene::from_blob("blob", &changed).is_err(), "{end}");
     }
-    // Without the option nothing is read, and the bytes are those of before.
-    let without = load_bytes_with("test.glb", &g.glb(), None, &Options::default())
+    // Without the option textures are not read, and the bytes are unchanged.
+    let without = load_bytes_with("test.glb", &g.glb(), None, &LoadOptions::default())
         .unwrap()
         .scene;
-    assert_eq!(kinds(&without), [Kind::SeeThrough; 2]);
+    assert_eq!(kinds(&without), [SurfaceKind::SeeThrough; 2]);
     assert!(without.to_blob().starts_with(b"SLSCENE5"));
     let broken = card(&[0], |g| g.json["textures"] = json!([{"source": 7}]));
-    assert_eq!(kinds(&broken.load().unwrap()), [Kind::SeeThrough; 2]);
+    assert_eq!(kinds(&broken.load().unwrap()), [SurfaceKind::SeeThrough; 2]);
 }
 
 #[test]
-fn masks_that_are_alike_everywhere_are_closed_or_open() {
+fn uniform_masks_are_closed_or_open() {
     let closed = load(&card(&[], |_| {})).scene;
-    assert_eq!(kinds(&closed), [Kind::Opaque; 2]);
-    // That textures were read is kept, so that a result says how its scene is to be read.
+    assert_eq!(kinds(&closed), [SurfaceKind::Opaque; 2]);
+    // The scene stores that textures were read, so that a result specifies how to read its scene.
     assert!(closed.kinds().alpha_textures() && closed.kinds().all_opaque());
     assert_eq!(
         closed.kinds().counts()[0].reason,
@@ -116,12 +120,12 @@ fn masks_that_are_alike_everywhere_are_closed_or_open() {
         }))
         .scene
     };
-    assert_eq!(kinds(&factor(0.5)), [Kind::Opaque; 2]);
+    assert_eq!(kinds(&factor(0.5)), [SurfaceKind::Opaque; 2]);
     assert_eq!(
         (kinds(&factor(0.4)), drawn(&factor(0.4))[0].as_str()),
-        (vec![Kind::Masked; 2], "....")
+        (vec![SurfaceKind::Masked; 2], "....")
     );
-    // The factor and the cutoff count for textures, too.
+    // Factor and cutoff also apply to textures.
     let both = |alpha: f64, cutoff: f64| {
         kinds(
             &load(&card(&[0], |g| {
@@ -134,17 +138,17 @@ fn masks_that_are_alike_everywhere_are_closed_or_open() {
     };
     assert_eq!(
         both(0.6, 0.0),
-        [Kind::Opaque; 2],
+        [SurfaceKind::Opaque; 2],
         "every alpha reaches a cutoff of 0"
     );
     assert_eq!(
         (both(0.6, 0.6), both(0.6, 0.7)),
-        (vec![Kind::Masked; 2], vec![Kind::Masked; 2])
+        (vec![SurfaceKind::Masked; 2], vec![SurfaceKind::Masked; 2])
     );
 }
 
 #[test]
-fn textures_are_placed_as_the_file_says() {
+fn textures_are_placed_as_in_file() {
     let placed = |transform: Value, sampler: Value| {
         drawn(
             &load(&card(&[0, 1, 6], |g| {
@@ -178,19 +182,20 @@ fn textures_are_placed_as_the_file_says() {
         placed(json!({"offset": [0, 0.5]}), json!({"wrapT": 33071})),
         ["xx.x", "xx.x"]
     );
-    // Mirrored left to right, and doubled.
+    // A texture that is mirrored from left to right and scaled by two.
     assert_eq!(
         placed(json!({"offset": [1, 0], "scale": [-1, 1]}), json!({})),
         ["xx..", "x.xx"]
     );
-    // A half turn about the origin, then back into the texture; wrapped, the offset does not matter.
+    // A half turn about the origin, then a move back into the texture. With wrapping, the offset does not
+    // matter.
     let half = json!({"rotation": std::f64::consts::PI, "offset": [1, 1]});
     assert_eq!(placed(half, json!({})), ["x.xx", "xx.."]);
-    // A quarter turn counter-clockwise of the coordinates takes (u, v) to (v, 1 - u), as in the extension's
-    // example: the rows of the card are columns 1 and 3 of the texture, from below.
+    // A counter-clockwise quarter turn of the coordinates maps (u, v) to (v, 1 - u), as in the extension's
+    // example. The rows of the card are columns 1 and 3 of the texture, from below.
     let quarter = json!({"rotation": std::f64::consts::FRAC_PI_2, "offset": [0.125, 1]});
     assert_eq!(placed(quarter, json!({})), ["xx..", "xxxx"]);
-    // Another set of coordinates, and the same by the extension, which goes first.
+    // Another set of coordinates, and the same set by the extension, which has precedence.
     let other = |change: &dyn Fn(&mut Value)| {
         drawn(
             &load(&card(&[0, 1, 6], |g| {
@@ -210,7 +215,7 @@ fn textures_are_placed_as_the_file_says() {
 }
 
 #[test]
-fn images_come_from_the_file_from_data_or_from_beside_it() {
+fn images_come_from_glb_data_uri_or_separate_file() {
     let inside = load(&card(&[0, 1, 6], |_| {})).scene.digest();
     let image = png([4, 2], &[0, 0, 255, 255, 255, 255, 0, 255]);
     let data = format!(
@@ -233,7 +238,7 @@ fn images_come_from_the_file_from_data_or_from_beside_it() {
     for part in [
         "material 0 (fence), texture 0, image 0 (sub/a%20b.png)",
         "a b.png",
-        "leave out --alpha-textures",
+        "omit --alpha-textures",
     ] {
         assert!(missing.contains(part), "{missing:?} does not say {part:?}");
     }
@@ -243,7 +248,7 @@ fn images_come_from_the_file_from_data_or_from_beside_it() {
         load_with(&path, &with_alpha()).unwrap().scene.digest(),
         inside
     );
-    // The PNG beside an image of another format is used.
+    // If a texture also has an image in another format, the PNG is used.
     let with_basis = |source: Value| {
         card(&[0, 1, 6], |g| {
             g.json["textures"][0] = source;
@@ -256,12 +261,12 @@ fn images_come_from_the_file_from_data_or_from_beside_it() {
     );
     assert!(
         refusal(&with_basis(json!({})))
-            .contains("texture 0: it has an image for KHR_texture_basisu alone")
+            .contains("texture 0: the texture has only an image for KHR_texture_basisu")
     );
 }
 
 #[test]
-fn what_a_mask_cannot_say_is_see_through_with_a_warning() {
+fn unsupported_masks_are_see_through_with_warning() {
     let colors = |g: &mut Gltf, alpha: u8| {
         let c = g.accessor(&[255, 255, 255, alpha].repeat(4), 5121, "VEC4", 4);
         g.json["accessors"][c]["normalized"] = json!(true);
@@ -269,43 +274,43 @@ fn what_a_mask_cannot_say_is_see_through_with_a_warning() {
     };
     assert_eq!(
         kinds(&load(&card(&[0], |g| colors(g, 255))).scene),
-        [Kind::Masked; 2]
+        [SurfaceKind::Masked; 2]
     );
     let faded = load(&card(&[0], |g| colors(g, 254)));
-    assert_eq!(kinds(&faded.scene), [Kind::SeeThrough; 2]);
+    assert_eq!(kinds(&faded.scene), [SurfaceKind::SeeThrough; 2]);
     assert!(
         faded.warnings[0]
-            .contains("mesh 0, primitive 0: its vertex colours (COLOR_0) have alpha below 1")
+            .contains("mesh 0, primitive 0: the vertex colours (COLOR_0) have alpha below 1")
     );
     let bare = load(&card(&[0], |g| {
         g.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = json!(9);
     }));
-    assert_eq!(kinds(&bare.scene), [Kind::SeeThrough; 2]);
+    assert_eq!(kinds(&bare.scene), [SurfaceKind::SeeThrough; 2]);
     assert!(
         bare.warnings[0].contains("no texture coordinates TEXCOORD_9"),
         "{:?}",
         bare.warnings
     );
-    // The option is of no use in a scene without masks.
+    // The option has no effect in a scene without masks.
     let plain = load(&support::square());
     assert!(
-        plain.warnings[0].contains("--alpha-textures changes nothing"),
+        plain.warnings[0].contains("--alpha-textures has no effect"),
         "{:?}",
         plain.warnings
     );
 }
 
 #[test]
-fn flags_motion_and_extras_go_before_a_mask() {
-    // A texture that cannot be read is not needed then.
+fn flags_motion_and_extras_have_precedence_over_mask() {
+    // A texture that cannot be read is not needed in these cases.
     let broken = |change: &dyn Fn(&mut Value)| {
         card(&[0], |g| {
             g.json["textures"] = json!([]);
             change(&mut g.json);
         })
     };
-    let one = |g: &Gltf, rules: Vec<Rule>| {
-        let options = Options {
+    let one = |g: &Gltf, rules: Vec<KindRule>| {
+        let options = LoadOptions {
             rules,
             ..with_alpha()
         };
@@ -313,40 +318,40 @@ fn flags_motion_and_extras_go_before_a_mask() {
             .unwrap()
             .scene
             .kinds()
-            .kind(0)
+            .kind(TriangleId(0))
     };
     let none = || Vec::new();
     assert_eq!(
         one(
             &broken(&|_| {}),
-            vec![Rule::new(Kind::Opaque, "fence").unwrap()]
+            vec![KindRule::new(SurfaceKind::Opaque, "fence").unwrap()]
         ),
-        Kind::Opaque
+        SurfaceKind::Opaque
     );
     assert_eq!(
         one(&broken(&|j| j["nodes"][0]["skin"] = json!(0)), none()),
-        Kind::Moving
+        SurfaceKind::Moving
     );
     let extras =
         |fields: Value| move |j: &mut Value| j["nodes"][0]["extras"] = json!({"sightline": fields});
     assert_eq!(
         one(&broken(&extras(json!({"blocks": true}))), none()),
-        Kind::Opaque
+        SurfaceKind::Opaque
     );
     assert_eq!(
         one(&broken(&extras(json!({"blocks": false}))), none()),
-        Kind::SeeThrough
+        SurfaceKind::SeeThrough
     );
     assert_eq!(
         one(&broken(&extras(json!({"shows": false}))), none()),
-        Kind::Moving
+        SurfaceKind::Moving
     );
     let shows = card(&[0], |g| extras(json!({"shows": true}))(&mut g.json));
-    assert_eq!(one(&shows, none()), Kind::Masked);
+    assert_eq!(one(&shows, none()), SurfaceKind::Masked);
 }
 
 #[test]
-fn strips_fans_and_instances_have_their_coordinates() {
+fn strips_fans_and_instances_have_coordinates() {
     // The square as a strip and as a fan, in the order of their corners, with one mask.
     let as_mode = |mode: u32, order: [usize; 4]| {
         drawn(
@@ -363,35 +368,38 @@ fn strips_fans_and_instances_have_their_coordinates() {
         )
     };
     assert_eq!(as_mode(6, [0, 1, 2, 3]), ["..xx", "xx.x"]);
-    // The strip's first triangle holds other corners, so the diagonal is asked the other way round.
+    // The strip's first triangle contains other corners, so the diagonal is tested the other way round.
     assert_eq!(as_mode(5, [1, 2, 0, 3]), ["..xx", "xx.x"]);
     let two = card(&[0, 1, 6], |g| {
         g.json["nodes"] = json!([{"mesh": 0}, {"mesh": 0, "translation": [0, 0, 5]}]);
         g.json["scenes"][0]["nodes"] = json!([0, 1]);
     });
     let scene = load(&two).scene;
-    assert_eq!(kinds(&scene), [Kind::Masked; 4]);
-    assert!(!scene.mask_blocks(3, [0.1, 0.9, 9.0], [0.0, 0.0, -1.0]));
-    assert!(scene.mask_blocks(2, [0.9, 0.1, 9.0], [0.0, 0.0, -1.0]));
+    assert_eq!(kinds(&scene), [SurfaceKind::Masked; 4]);
+    assert!(!scene.mask_blocks(TriangleId(3), [0.1, 0.9, 9.0], [0.0, 0.0, -1.0]));
+    assert!(scene.mask_blocks(TriangleId(2), [0.9, 0.1, 9.0], [0.0, 0.0, -1.0]));
 }
 
 #[test]
-fn textures_that_cannot_be_used_are_refused_with_their_place() {
+fn unusable_textures_are_rejected_with_element() {
     let material = |change: fn(&mut Value)| card(&[0], |g| change(&mut g.json["materials"][0]));
     let json = |change: fn(&mut Value)| card(&[0], |g| change(&mut g.json));
     let bad = [
         (
             json(|j| j["textures"] = json!([])),
-            "texture 0: there are 0 textures",
+            "texture 0: the texture does not exist, because the file has 0 textures",
         ),
         (
             json(|j| j["textures"][0]["source"] = json!(3)),
-            "it names image 3 of 1",
+            "the texture refers to image 3, but the file has 1",
         ),
-        (json(|j| j["textures"][0] = json!({})), "it names no image"),
+        (
+            json(|j| j["textures"][0] = json!({})),
+            "the texture refers to no image",
+        ),
         (
             json(|j| j["textures"][0]["sampler"] = json!(3)),
-            "it names sampler 3 of 0",
+            "the texture refers to sampler 3, but the file has 0",
         ),
         (
             json(|j| j["textures"] = json!("none")),
@@ -399,11 +407,11 @@ fn textures_that_cannot_be_used_are_refused_with_their_place() {
         ),
         (
             json(|j| j["images"][0] = json!({})),
-            "it must have either a uri or a buffer view",
+            "the image must have either a uri or a buffer view",
         ),
         (
             json(|j| j["images"][0]["bufferView"] = json!(99)),
-            "there is no such buffer view",
+            "the file has no buffer view with this index",
         ),
         (
             json(|j| j["images"][0] = json!({"uri": "../up.png"})),
@@ -419,29 +427,29 @@ fn textures_that_cannot_be_used_are_refused_with_their_place() {
         ),
         (
             material(|m| m["alphaCutoff"] = json!("half")),
-            "material 0 (fence): its alphaCutoff is no finite",
+            "material 0 (fence): the alphaCutoff is not a finite",
         ),
         (
             material(|m| m["pbrMetallicRoughness"]["baseColorTexture"] = json!({"index": -1})),
-            "its texture is no index: -1",
+            "the texture is not an index: -1",
         ),
         (
             material(|m| m["pbrMetallicRoughness"]["baseColorFactor"] = json!([1, 1, 1])),
-            "its base colour factor has no alpha",
+            "the base colour factor has no alpha",
         ),
         (
             card(&[0], |g| {
                 let uv = g.pairs(&[[0.0; 2]; 2]);
                 g.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = json!(uv);
             }),
-            "vertex 2 has no texture coordinates, there are 2",
+            "vertex 2 has no texture coordinates: the accessor has 2 elements",
         ),
         (
             card(&[0], |g| {
                 let uv = g.pairs(&[[f32::NAN; 2]; 4]);
                 g.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = json!(uv);
             }),
-            "the coordinates of vertex 0 are not finite",
+            "the texture coordinates of vertex 0 are not finite",
         ),
         (
             card(&[0], |g| {

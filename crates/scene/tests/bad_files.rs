@@ -1,5 +1,5 @@
-//! Faults that the loaders refuse, one test for each kind: the message must name the file, the element and
-//! the reason.
+//! Faults that the loaders reject, one test for each kind of fault. The message must name the file, the
+//! element and the reason.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use sightline_scene::{load, load_bytes};
 use support::*;
 
-/// Loading must fail, and the message must begin with the file and hold each part.
+/// Asserts that loading fails, and that the message begins with the file and contains each part.
 #[track_caller]
 fn refused(name: &str, bytes: &[u8], parts: &[&str]) {
     let message = load_bytes(name, bytes, None).unwrap_err().to_string();
@@ -19,7 +19,7 @@ fn refused(name: &str, bytes: &[u8], parts: &[&str]) {
     assert!(message.contains("; "), "\"{message}\" has no remedy");
 }
 
-/// [`square`] with one change to its JSON.
+/// Asserts that [`square`] with one change to its JSON is rejected.
 #[track_caller]
 fn gltf_refused(change: impl FnOnce(&mut Value), parts: &[&str]) {
     let mut g = square();
@@ -28,16 +28,21 @@ fn gltf_refused(change: impl FnOnce(&mut Value), parts: &[&str]) {
 }
 
 #[test]
-fn files_that_are_not_what_their_name_says() {
+fn rejects_files_with_wrong_extension() {
     let ply = binary_ply(false, &SQUARE, 3);
     refused(
         "a.obj",
         &ply,
-        &["file", "says .obj", "a PLY file", "rename it to .ply"],
+        &[
+            "file",
+            "indicates .obj",
+            "a PLY file",
+            "rename the file to .ply",
+        ],
     );
-    refused("a.ply", &square().glb(), &["says .ply", "GLB"]);
-    refused("a.gltf", &square().glb(), &["says .gltf", "GLB"]);
-    refused("a.glb", b"{}", &["says .glb", "JSON"]);
+    refused("a.ply", &square().glb(), &["indicates .ply", "GLB"]);
+    refused("a.gltf", &square().glb(), &["indicates .gltf", "GLB"]);
+    refused("a.glb", b"{}", &["indicates .glb", "JSON"]);
     refused("a.glb", b"PK\x03\x04....", &["ZIP"]);
     refused(
         "a.ply",
@@ -51,7 +56,7 @@ fn files_that_are_not_what_their_name_says() {
 }
 
 #[test]
-fn files_that_cannot_be_read() {
+fn rejects_unreadable_files() {
     let dir = tempfile::tempdir().unwrap();
     let message = load(&dir.path().join("none.obj")).unwrap_err().to_string();
     assert!(
@@ -68,25 +73,28 @@ fn obj_faults_name_the_line() {
     bad("v 0 0\n", &["line 1", "no z"]);
     bad(
         "v 0 0 nan\nf 1 1 1",
-        &["line 1", "vertex 0", "z, nan, is not finite"],
+        &["line 1", "vertex 0", "z coordinate nan is not finite"],
     );
     bad(
         "v 0 0 0\nv 1e99 0 0\n",
         &["line 2", "vertex 1", "not finite"],
     );
     let stray = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 -1e19 0\nf 1 2 3\nf 1 2 4\n";
-    bad(stray, &["triangle 1, vertex 2", "is beyond ±1e9", "astray"]);
+    bad(
+        stray,
+        &["triangle 1, vertex 2", "is beyond ±1e9", "misplaced"],
+    );
     bad("v 0 x 0\n", &["line 1", "\"x\" is not a number"]);
     bad("v 0 0 0\n\nf 1 1 2\n", &["line 3", "vertex 2", "has 1"]);
     bad("v 0 0 0\nf 1 1 -2\n", &["line 2", "vertex -2"]);
     bad("v 0 0 0\nf 1 1 0\n", &["line 2", "vertex 0"]);
     bad(
         "v 0 0 0\nf 1 1 99999999999999999999\n",
-        &["line 2", "not a corner"],
+        &["line 2", "not a valid corner"],
     );
     bad(
         "v 0 0 0\nf 1 1 1/a\n",
-        &["line 2", "\"1/a\" is not a corner"],
+        &["line 2", "\"1/a\" is not a valid corner"],
     );
     bad("v 0 0 0\nf 1 1\n", &["line 2", "2 corners"]);
     bad("v 0 0 0\n", &["scene", "no triangles"]);
@@ -102,16 +110,28 @@ fn ply_faults_name_the_element() {
     bad(
         "vertex 4",
         "vertex 4294967295",
-        &["element vertex", "4294967295", "bytes left"],
+        &["element vertex", "4294967295", "more than the remaining"],
     );
     bad(
         "face 2",
         "face 18446744073709551615",
-        &["element face", "bytes left"],
+        &["element face", "more than the remaining"],
     );
-    bad("vertex 4", "vertex 4e9", &["header line 4", "no number"]);
-    bad("4 0 1 2 3", "4 0 1 2 4", &["face 0", "vertex 4 of 4"]);
-    bad("4 0 1 2 3", "4 0 1 2 -1", &["face 0", "vertex -1 of 4"]);
+    bad(
+        "vertex 4",
+        "vertex 4e9",
+        &["header line 4", "not a whole number"],
+    );
+    bad(
+        "4 0 1 2 3",
+        "4 0 1 2 4",
+        &["face 0", "vertex 4, but the file has 4"],
+    );
+    bad(
+        "4 0 1 2 3",
+        "4 0 1 2 -1",
+        &["face 0", "vertex -1, but the file has 4"],
+    );
     bad(
         "4 0 1 2 3",
         "400000000 0 1 2 3",
@@ -128,7 +148,7 @@ fn ply_faults_name_the_element() {
     bad(
         "3 2 1 0 1\n",
         "3 2 1",
-        &["face 1", "3 values", "bytes are left"],
+        &["face 1", "3 values", "bytes follow"],
     );
     bad(
         "3 2 1 0 1\n",
@@ -149,7 +169,7 @@ fn ply_faults_name_the_element() {
     );
     bad("element face", "element facet", &["no face element"]);
     bad("ascii 1.0", "ascii 2.0", &["header line 2"]);
-    bad("end_header", "comment", &["not understood"]);
+    bad("end_header", "comment", &["not a valid PLY header line"]);
     bad(
         "list uchar int vertex_indices",
         "list float int vertex_indices",
@@ -158,7 +178,7 @@ fn ply_faults_name_the_element() {
     refused(
         "a.ply",
         b"ply\nformat ascii 1.0\nelement vertex 4\n",
-        &["before end_header"],
+        &["before the line end_header"],
     );
     refused(
         "a.ply",
@@ -175,7 +195,7 @@ fn binary_ply_faults() {
     refused(
         "a.ply",
         &binary_ply(true, &SQUARE, 4),
-        &["face 1", "vertex 4 of 4"],
+        &["face 1", "vertex 4, but the file has 4"],
     );
     let mut nan = SQUARE;
     nan[2][1] = f32::NAN;
@@ -187,7 +207,7 @@ fn binary_ply_faults() {
 }
 
 #[test]
-fn glb_containers_cut_short_or_wrong() {
+fn rejects_truncated_or_invalid_glb_containers() {
     let whole = square().glb();
     refused(
         "a.glb",
@@ -212,16 +232,22 @@ fn glb_containers_cut_short_or_wrong() {
 
 #[test]
 fn gltf_references_out_of_range() {
-    gltf_refused(|j| j["scene"] = json!(4), &["scene", "scene 4 of 1"]);
+    gltf_refused(
+        |j| j["scene"] = json!(4),
+        &["scene", "scene 4, but the file has 1"],
+    );
     gltf_refused(|j| j["scenes"][0]["nodes"] = json!([7]), &["node 7"]);
     gltf_refused(
         |j| j["nodes"][0]["mesh"] = json!(1),
-        &["node 0", "mesh 1 of 1"],
+        &["node 0", "mesh 1, but the file has 1"],
     );
     let position = |n: i32| {
         move |j: &mut Value| j["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = json!(n)
     };
-    gltf_refused(position(9), &["mesh 0, primitive 0", "accessor 9 of 2"]);
+    gltf_refused(
+        position(9),
+        &["mesh 0, primitive 0", "accessor 9 does not exist"],
+    );
     gltf_refused(position(-1), &["glTF JSON"]);
     gltf_refused(
         |j| j["accessors"][0]["bufferView"] = json!(5),
@@ -249,7 +275,11 @@ fn gltf_references_out_of_range() {
     );
     gltf_refused(
         |j| j["accessors"][0]["count"] = json!(3),
-        &["mesh 0, primitive 0", "accessor 1", "vertex 3 of 3"],
+        &[
+            "mesh 0, primitive 0",
+            "accessor 1",
+            "vertex 3, but the primitive has 3",
+        ],
     );
     gltf_refused(
         |j| j["bufferViews"][0]["byteStride"] = json!(4),
@@ -282,7 +312,7 @@ fn gltf_references_out_of_range() {
 }
 
 #[test]
-fn four_gigabytes_out_of_nothing() {
+fn rejects_large_accessor_without_data() {
     gltf_refused(
         |j| {
             j["accessors"][0] =
@@ -302,14 +332,14 @@ fn four_gigabytes_out_of_nothing() {
 
 #[test]
 fn instances_beyond_the_limit() {
-    use sightline_scene::load::{Limits, Options, load_bytes_with};
+    use sightline_scene::load::{LoadLimits, LoadOptions, load_bytes_with};
     let mut g = square();
     g.json["nodes"] = json!(vec![json!({"mesh": 0}); 10]);
     g.json["scenes"][0]["nodes"] = json!((0..10).collect::<Vec<_>>());
     let load = |triangles, objects| {
-        let options = Options {
-            limits: Limits { triangles, objects },
-            ..Options::default()
+        let options = LoadOptions {
+            limits: LoadLimits { triangles, objects },
+            ..LoadOptions::default()
         };
         load_bytes_with("a.glb", &g.glb(), None, &options).map(|l| l.scene.len())
     };
@@ -318,7 +348,7 @@ fn instances_beyond_the_limit() {
         load(19, 10)
             .unwrap_err()
             .to_string()
-            .contains("(at node 9): the scene has more than 19 triangles")
+            .contains("(at node 9): with this element, the scene has more than 19 triangles")
     );
     assert!(
         load(20, 9)
@@ -329,7 +359,7 @@ fn instances_beyond_the_limit() {
 }
 
 #[test]
-fn nodes_that_cycle_or_leave_the_numbers() {
+fn rejects_node_cycles_and_infinite_transforms() {
     gltf_refused(
         |j| j["nodes"] = json!([{"children": [1]}, {"children": [0]}]),
         &["node 0", "cycle"],
@@ -376,7 +406,7 @@ fn nodes_that_cycle_or_leave_the_numbers() {
 }
 
 #[test]
-fn gltf_vertices_that_are_no_numbers() {
+fn rejects_gltf_vertices_that_are_not_finite() {
     let mut g = square();
     g.bin[16..20].copy_from_slice(&f32::INFINITY.to_le_bytes());
     refused(
@@ -386,10 +416,10 @@ fn gltf_vertices_that_are_no_numbers() {
     );
 }
 
-/// Several threads read a scene; the reported fault does not depend on which thread is first. One thread
-/// comes to the first fault last, another comes to the second fault at once.
+/// Several threads read a scene, and the reported fault does not depend on the order of threads. One thread
+/// reaches the first fault late, and another thread reaches the second fault immediately.
 #[test]
-fn of_several_faults_the_first_is_told() {
+fn first_of_several_faults_is_reported() {
     const VERTICES: usize = 3 * 200_000;
     let bad = |at: &[usize]| {
         let mut p = vec![[1.0f32; 3]; VERTICES];
@@ -402,7 +432,7 @@ fn of_several_faults_the_first_is_told() {
     let primitive = |a: usize| json!({"attributes": {"POSITION": a}});
     let order = [whole, whole, whole, last, start, whole, whole, whole];
     primitives.mesh(json!(order.map(primitive)));
-    // Of 25 parts of 8192 triangles the eleventh and the thirteenth.
+    // The eleventh and the thirteenth of 25 parts of 8192 triangles.
     let (first, second) = (3 * 8192 * 11 - 1, 3 * 8192 * 12);
     let mut parts = Gltf::default();
     let both = parts.positions(&bad(&[first, second]));
@@ -428,7 +458,7 @@ fn of_several_faults_the_first_is_told() {
 }
 
 #[test]
-fn primitive_restart_is_refused() {
+fn rejects_primitive_restart() {
     let mut g = Gltf::default();
     let p = g.positions(&vec![[0.; 3]; 300]);
     let i = g.indices(5121, &[0, 1, 255, 2, 3, 4]);
@@ -470,7 +500,7 @@ fn sparse_faults() {
 }
 
 #[test]
-fn extensions_are_refused_by_name() {
+fn rejects_extensions_by_name() {
     gltf_refused(
         |j| j["extensionsRequired"] = json!(["NGA_gpm_local"]),
         &["extensionsRequired", "NGA_gpm_local", "without"],
@@ -531,8 +561,8 @@ fn meshopt_faults() {
 }
 
 #[test]
-fn views_that_unpack_to_far_more_than_the_file_are_refused() {
-    // A byte of control stands for 256 elements of 4 bytes that are equal.
+fn rejects_views_that_unpack_to_far_more_than_file() {
+    // A control byte represents 256 equal elements of 4 bytes.
     let blocks = 1 << 16;
     let mut data = vec![0xa1];
     data.resize(1 + blocks, 0xaa);
@@ -562,7 +592,7 @@ fn views_that_unpack_to_far_more_than_the_file_are_refused() {
 }
 
 #[test]
-fn buffers_stay_below_the_scene() {
+fn buffers_stay_below_scene_folder() {
     for uri in [
         "/etc/passwd",
         "../secret.bin",
@@ -577,7 +607,7 @@ fn buffers_stay_below_the_scene() {
     let with = |uri: &str| json!([{"byteLength": 72, "uri": uri}]);
     gltf_refused(
         |j| j["buffers"] = with("a.bin"),
-        &["buffer 0", "did not come from a directory"],
+        &["buffer 0", "was not loaded from a directory"],
     );
     gltf_refused(
         |j| j["buffers"] = with("data:text/plain,abc"),
@@ -608,7 +638,7 @@ fn buffers_stay_below_the_scene() {
 }
 
 #[test]
-fn scenes_without_triangles() {
+fn rejects_scenes_without_triangles() {
     gltf_refused(|j| j["nodes"] = json!([{}]), &["scene", "no triangles"]);
     gltf_refused(
         |j| j["meshes"][0]["primitives"][0]["mode"] = json!(1),

@@ -7,10 +7,11 @@ mod support;
 use draco_core::EncoderOptions;
 use proptest::prelude::*;
 use serde_json::{Value, json};
-use sightline_scene::load::{Options, load_bytes_with};
+use sightline_scene::TriangleId;
+use sightline_scene::load::{LoadOptions, load_bytes_with};
 use support::{SQUARE, by_index, card, compress_primitive, draco, draco_square, soup};
 
-/// Triangles as sets: compression may change their order and the corner at which each begins.
+/// Sorts triangles as sets: compression may change their order and the corner at which each begins.
 fn sorted(mut soup: Vec<[[f32; 3]; 3]>) -> Vec<[[u32; 3]; 3]> {
     let turned = |t: &[[f32; 3]; 3]| {
         let t = t.map(|v| v.map(|c| (c + 0.0).to_bits()));
@@ -25,13 +26,14 @@ fn sorted(mut soup: Vec<[[f32; 3]; 3]>) -> Vec<[[u32; 3]; 3]> {
 }
 
 #[test]
-fn a_compressed_square_is_the_square() {
+fn compressed_square_equals_square() {
     let scene = draco_square().load().unwrap();
     assert_eq!(
         sorted(soup(&scene)),
         sorted(by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3]]))
     );
-    // Also where a file could do without: the compressed data is what the extension asks readers to take.
+    // The compressed data are also used if a file does not require the extension, as the extension recommends
+    // to readers.
     let mut g = draco_square();
     g.json["extensionsUsed"] = g.json["extensionsRequired"].take();
     g.json.as_object_mut().unwrap().remove("extensionsRequired");
@@ -48,9 +50,9 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
     let mut g = card(&open, |_| ());
     let packed = draco(&SQUARE, &uv, &[[0, 1, 2], [0, 2, 3]], &options);
     compress_primitive(&mut g, 0, &packed, json!({"POSITION": 0, "TEXCOORD_0": 1}));
-    let options = Options {
+    let options = LoadOptions {
         alpha_textures: true,
-        ..Options::default()
+        ..LoadOptions::default()
     };
     let blocks = |g: &support::Gltf, at: [f32; 2]| {
         let scene = load_bytes_with("a.glb", &g.glb(), None, &options)
@@ -63,7 +65,11 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
             })
         };
         let triangle = soup(&scene).iter().position(inside).unwrap();
-        scene.mask_blocks(triangle as u32, [at[0], at[1], -1.0], [0.0, 0.0, 1.0])
+        scene.mask_blocks(
+            TriangleId(triangle as u32),
+            [at[0], at[1], -1.0],
+            [0.0, 0.0, 1.0],
+        )
     };
     for at in [
         [0.2, 0.4],
@@ -79,7 +85,7 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
 }
 
 #[test]
-fn faults_are_refused_with_the_primitive() {
+fn rejects_faults_with_primitive() {
     let refused = |change: &dyn Fn(&mut Value), parts: &[&str]| {
         let mut g = draco_square();
         change(&mut g.json);
@@ -106,7 +112,7 @@ fn faults_are_refused_with_the_primitive() {
     );
     refused(
         &|j| j["accessors"][0]["count"] = json!(5),
-        &[location, "accessor 0 has 5 elements, and 4"],
+        &[location, "accessor 0 has 5 elements, but 4"],
     );
     refused(
         &|j| j["accessors"][0]["componentType"] = json!(5123),
@@ -114,7 +120,7 @@ fn faults_are_refused_with_the_primitive() {
     );
     refused(
         &|j| j["meshes"][0]["primitives"][0]["mode"] = json!(5),
-        &[location, "mode must be 4"],
+        &[location, "mode of the primitive must be 4"],
     );
     refused(
         &|j| {
@@ -125,7 +131,7 @@ fn faults_are_refused_with_the_primitive() {
         },
         &[location, "no indices"],
     );
-    // More than the accessors announce is not decoded at all.
+    // Data beyond the counts of the accessors are not decoded.
     refused(
         &|j| j["accessors"][1]["count"] = json!(3),
         &[location, "ceiling"],
@@ -141,7 +147,7 @@ fn faults_are_refused_with_the_primitive() {
 }
 
 #[test]
-fn an_accessor_of_two_compressed_primitives_is_refused() {
+fn rejects_accessor_of_two_compressed_primitives() {
     let mut g = draco_square();
     let mut other = g.json["meshes"][0]["primitives"][0].clone();
     let again = draco(
@@ -150,7 +156,7 @@ fn an_accessor_of_two_compressed_primitives_is_refused() {
         &[[0, 1, 2], [0, 2, 3]],
         &EncoderOptions::new(),
     );
-    let view = g.view(&again.0);
+    let view = g.view(&again.bytes);
     other["extensions"]["KHR_draco_mesh_compression"]["bufferView"] = json!(view);
     g.json["meshes"][0]["primitives"]
         .as_array_mut()
@@ -166,9 +172,9 @@ fn an_accessor_of_two_compressed_primitives_is_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Every connectivity that the encoder writes, without quantisation: the same triangles come back.
+    /// Meshes survive every connectivity that the encoder writes, without quantisation.
     #[test]
-    fn random_meshes_come_back(
+    fn random_meshes_survive_encoding(
         points in proptest::collection::btree_set([-40i32..40, -40i32..40, -40i32..40], 3..40),
         picks in proptest::collection::vec([any::<usize>(), any::<usize>(), any::<usize>()], 1..60),
         speed in 0i32..11,

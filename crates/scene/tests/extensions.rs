@@ -9,13 +9,13 @@ use std::fmt::Write as _;
 
 use serde_json::{Value, json};
 use sightline_scene::SceneError;
-use sightline_scene::load::{EXTENSIONS, Loaded, Options, Support, load_bytes_with};
+use sightline_scene::load::{EXTENSIONS, LoadOptions, LoadedScene, Support, load_bytes_with};
 use support::{compress, packed_square, soup, square};
 
-fn load(change: impl FnOnce(&mut Value)) -> Result<Loaded, SceneError> {
+fn load(change: impl FnOnce(&mut Value)) -> Result<LoadedScene, SceneError> {
     let mut g = square();
     change(&mut g.json);
-    load_bytes_with("test.glb", &g.glb(), None, &Options::default())
+    load_bytes_with("test.glb", &g.glb(), None, &LoadOptions::default())
 }
 
 #[test]
@@ -110,14 +110,14 @@ fn khr_meshopt_compression_is_read_as_ext() {
     khr.json["bufferViews"][2]["extensions"]["KHR_meshopt_compression"]["mode"] = json!("ODD");
     let error = khr.load().unwrap_err().to_string();
     assert!(
-        error.contains("buffer view 2, KHR_meshopt_compression: its mode ODD is unknown"),
+        error.contains("buffer view 2, KHR_meshopt_compression: the mode ODD is unknown"),
         "{error}"
     );
 }
 
 #[test]
 fn khr_meshopt_compression_of_version_1_is_read() {
-    // The positions of the square as version 1: literal deltas of one block, channels of byte deltas.
+    // The positions of the square in version 1: literal deltas of one block, with channels of byte deltas.
     let mut g = square();
     let mut packed = vec![0xa1, 0xff, 0xff, 0xff];
     let bytes: Vec<[u8; 12]> = support::SQUARE.iter().map(|p| bytemuck::cast(*p)).collect();

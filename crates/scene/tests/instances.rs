@@ -7,7 +7,7 @@ mod support;
 use serde_json::{Value, json};
 use support::Gltf;
 
-/// A square of two triangles at a node with a translation, and attributes of instances.
+/// Creates a node with a translation, a square of two triangles, and instance attributes.
 fn instanced(change: impl FnOnce(&mut Gltf) -> Value) -> Gltf {
     let mut g = Gltf::default();
     let p = g.positions(&[
@@ -42,7 +42,7 @@ fn shorts(g: &mut Gltf, quaternions: &[[i16; 4]]) -> usize {
 }
 
 #[test]
-fn each_instance_has_its_triangles_under_the_transform_of_the_node() {
+fn instances_have_triangles_under_transform_of_node() {
     let g = instanced(|g| {
         let translation = g.positions(&[[0.0, 5.0, 0.0], [0.0, 0.0, 7.0]]);
         let scale = g.positions(&[[1.0, 1.0, 1.0], [2.0, 3.0, 1.0]]);
@@ -77,7 +77,7 @@ fn each_instance_has_its_triangles_under_the_transform_of_the_node() {
 }
 
 #[test]
-fn attributes_that_do_not_fit_are_refused_with_the_node() {
+fn rejects_inconsistent_attributes_with_node() {
     let refused = |g: Gltf, part: &str| {
         let e = g.load().unwrap_err().to_string();
         assert!(e.contains("node 0") && e.contains(part), "{part} in {e}");
@@ -98,7 +98,7 @@ fn attributes_that_do_not_fit_are_refused_with_the_node() {
 }
 
 #[test]
-fn no_instance_is_no_object() {
+fn zero_instances_result_in_no_object() {
     let g = instanced(|g| json!({"TRANSLATION": g.positions(&[])}));
     assert_eq!(g.load().unwrap().objects().len(), 2);
 }

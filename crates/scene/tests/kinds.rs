@@ -5,12 +5,13 @@
 mod support;
 
 use serde_json::{Value, json};
-use sightline_scene::kinds::{Kind, Rule};
-use sightline_scene::load::{Loaded, Options, load_bytes_with, load_with};
+use sightline_scene::TriangleId;
+use sightline_scene::kinds::{KindRule, SurfaceKind};
+use sightline_scene::load::{LoadOptions, LoadedScene, load_bytes_with, load_with};
 use support::Gltf;
 
-/// A file with as many nodes as `nodes`, each with a mesh of one triangle: `changes` sees the document.
-fn load(nodes: usize, change: impl FnOnce(&mut Value)) -> Loaded {
+/// Loads a file with `nodes` nodes, each with a mesh of one triangle. `change` edits the document.
+fn load(nodes: usize, change: impl FnOnce(&mut Value)) -> LoadedScene {
     let mut g = Gltf::default();
     let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
     for _ in 0..nodes {
@@ -19,25 +20,25 @@ fn load(nodes: usize, change: impl FnOnce(&mut Value)) -> Loaded {
     g.json["nodes"] = (0..nodes).map(|n| json!({"mesh": n})).collect();
     g.json["scenes"][0]["nodes"] = (0..nodes).collect();
     change(&mut g.json);
-    load_bytes_with("test.glb", &g.glb(), None, &Options::default()).unwrap()
+    load_bytes_with("test.glb", &g.glb(), None, &LoadOptions::default()).unwrap()
 }
 
-fn kinds(loaded: &Loaded) -> Vec<Kind> {
+fn kinds(loaded: &LoadedScene) -> Vec<SurfaceKind> {
     (0..loaded.scene.len())
-        .map(|t| loaded.scene.kinds().kind(t))
+        .map(|t| loaded.scene.kinds().kind(TriangleId(t)))
         .collect()
 }
 
 #[test]
 fn materials_with_holes_or_transmission_are_see_through() {
-    use Kind::{Opaque, SeeThrough};
+    use SurfaceKind::{Opaque, SeeThrough};
     let loaded = load(7, |j| {
         j["materials"] = json!([
             {"alphaMode": "OPAQUE"}, {"alphaMode": "MASK"}, {"alphaMode": "BLEND"},
             {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}},
             {"extensions": {"KHR_materials_transmission": {}}},
             {"extensions": {"KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 1}}},
-            // A fault in a material refuses no scene.
+            // A fault in a material does not make a scene unreadable.
             {"alphaMode": 7, "extensions": []},
         ]);
         for m in 0..7 {
@@ -69,9 +70,9 @@ fn materials_with_holes_or_transmission_are_see_through() {
 }
 
 #[test]
-fn what_moves_neither_blocks_nor_shows() {
-    use Kind::{Moving, Opaque};
-    // 0 is animated, 1 hangs below 0, 2 is skinned, 3 is animated through a pointer, 4 stands still.
+fn moving_triangles_neither_block_nor_show() {
+    use SurfaceKind::{Moving, Opaque};
+    // Node 0 is animated, 1 is a child of 0, 2 is skinned, 3 is animated through a pointer, 4 does not move.
     let loaded = load(5, |j| {
         j["scenes"][0]["nodes"] = json!([0, 2, 3, 4]);
         j["nodes"][0]["children"] = json!([1]);
@@ -93,9 +94,10 @@ fn visible(visible: Value) -> Value {
 
 #[test]
 fn hidden_node_hides_everything_below_it() {
-    use Kind::{Hidden, Opaque};
+    use SurfaceKind::{Hidden, Opaque};
     let plain = load(7, |_| {});
-    // 0 is hidden with 1, whose own field is true, and 2 below that; 3 and 4 are visible; 5 has no field.
+    // Node 0 is hidden with child 1, whose own field is true, and 2 below 1. 3 and 4 are visible; 5 has no
+    // field.
     let hide = |j: &mut Value| {
         j["scenes"][0]["nodes"] = json!([0, 3, 4, 5, 6]);
         j["nodes"][0]["extensions"] = visible(json!(false));
@@ -115,9 +117,12 @@ fn hidden_node_hides_everything_below_it() {
             [Hidden, Hidden, Hidden, Opaque, Opaque, Opaque, Opaque],
             "{list}"
         );
-        assert!((0..3).all(|t| !loaded.scene.blocks(t) && !loaded.scene.shows(t)));
+        assert!(
+            (0..3)
+                .all(|t| !loaded.scene.blocks(TriangleId(t)) && !loaded.scene.shows(TriangleId(t)))
+        );
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-        // Ids, objects and bounds stay; the kinds are part of the canonical bytes.
+        // Ids, objects and bounds are unchanged. The kinds are part of the canonical bytes.
         assert_eq!(loaded.scene.triangles(), plain.scene.triangles());
         assert_eq!(loaded.scene.objects(), plain.scene.objects());
         assert_eq!(loaded.scene.bounds(), plain.scene.bounds());
@@ -135,7 +140,7 @@ fn hidden_node_hides_everything_below_it() {
 
 #[test]
 fn hidden_node_stays_hidden_against_extras_and_rules() {
-    use Kind::{Hidden, Opaque};
+    use SurfaceKind::{Hidden, Opaque};
     let hide = |j: &mut Value| {
         j["nodes"][0]["extensions"] = visible(json!(false));
         j["nodes"][0]["name"] = json!("ghost");
@@ -147,7 +152,8 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
             json!([{"channels": [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]}]);
     };
     assert_eq!(kinds(&load(2, hide)), [Hidden, Opaque]);
-    // A rule that matches hidden nodes only is a warning; one that matches others too is none.
+    // A rule that matches only hidden nodes results in a warning. A rule that also matches other nodes does
+    // not.
     let mut g = Gltf::default();
     let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
     for _ in 0..2 {
@@ -156,13 +162,13 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
     g.json["nodes"] = json!([{"mesh": 0}, {"mesh": 1}]);
     g.json["scenes"][0]["nodes"] = json!([0, 1]);
     hide(&mut g.json);
-    let rules = [(Kind::OccluderOnly, "gh?st"), (Opaque, "*")];
+    let rules = [(SurfaceKind::OccluderOnly, "gh?st"), (Opaque, "*")];
     let rules = rules
-        .map(|(kind, glob)| Rule::new(kind, glob).unwrap())
+        .map(|(kind, glob)| KindRule::new(kind, glob).unwrap())
         .to_vec();
-    let options = Options {
+    let options = LoadOptions {
         rules,
-        ..Options::default()
+        ..LoadOptions::default()
     };
     let loaded = load_bytes_with("test.glb", &g.glb(), None, &options).unwrap();
     assert_eq!(kinds(&loaded), [Hidden, Opaque]);
@@ -173,27 +179,27 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
 #[test]
 fn rule_cannot_hide() {
     let loaded = load(1, |_| {});
-    let rules = vec![Rule {
-        kind: Kind::Hidden,
+    let rules = vec![KindRule {
+        kind: SurfaceKind::Hidden,
         glob: "*".to_owned(),
     }];
-    let hidden = sightline_scene::Kinds::from_runs([(1, Kind::Opaque, "by default")], rules);
+    let hidden = sightline_scene::Kinds::from_runs([(1, SurfaceKind::Opaque, "by default")], rules);
     let error = loaded
         .scene
         .with_kinds("test", hidden)
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("a rule makes triangles hidden, which only a file does"),
+        error.contains("a rule sets the kind hidden, which only a scene file can set"),
         "{error}"
     );
 }
 
 #[test]
 fn animated_visibility_makes_triangles_moving() {
-    use Kind::{Hidden, Moving, Opaque};
-    // 0 is hidden at first and animated, 1 hangs below it; 2 is visible and animated; 3 is animated below 4,
-    // which no animation shows; 5 has no animation.
+    use SurfaceKind::{Hidden, Moving, Opaque};
+    // Node 0 is hidden at first and animated, and 1 is its child. 2 is visible and animated. 3 is animated
+    // below 4, which no animation shows. 5 has no animation.
     let loaded = load(6, |j| {
         j["extensionsRequired"] = json!(["KHR_node_visibility", "KHR_animation_pointer"]);
         j["scenes"][0]["nodes"] = json!([0, 2, 4, 5]);
@@ -208,7 +214,7 @@ fn animated_visibility_makes_triangles_moving() {
         };
         j["animations"] = json!([{"channels": [channel(0), channel(2), channel(3)]}]);
     });
-    // In the order of the nodes, depth first: 0, 1, 2, 4, 3, 5.
+    // The kinds are in depth-first order of the nodes: 0, 1, 2, 4, 3, 5.
     assert_eq!(
         kinds(&loaded),
         [Moving, Moving, Moving, Hidden, Hidden, Opaque]
@@ -216,8 +222,8 @@ fn animated_visibility_makes_triangles_moving() {
 }
 
 #[test]
-fn the_nearest_extras_count_for_each_field() {
-    use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
+fn nearest_extras_count_for_each_field() {
+    use SurfaceKind::{Moving, OccluderOnly, Opaque, SeeThrough};
     let extras =
         |blocks: Value, shows: Value| json!({"sightline": {"blocks": blocks, "shows": shows}});
     let loaded = load(6, |j| {
@@ -226,14 +232,15 @@ fn the_nearest_extras_count_for_each_field() {
             {"alphaMode": "BLEND", "extras": {"sightline": {"blocks": true}}},
             {"extras": {"sightline": {"shows": false}}},
         ]);
-        // An ancestor's extras reach its children; the mesh is nearer than the node, the material nearest.
+        // An ancestor's extras apply to its children. The mesh is nearer than the node, and the material is
+        // nearest.
         j["nodes"][0]["extras"] = extras(json!(false), json!(true));
         j["nodes"][0]["children"] = json!([1]);
         j["meshes"][1]["extras"] = json!({"sightline": {"shows": false}});
         j["nodes"][2]["extras"] = json!({"sightline": {"blocks": false}});
         j["meshes"][2]["primitives"][0]["material"] = json!(0);
         j["meshes"][3]["primitives"][0]["material"] = json!(1);
-        // Faults are named and change nothing.
+        // Faults result in warnings and have no other effect.
         j["nodes"][4]["extras"] = json!({"sightline": {"blocks": "no", "hides": true}});
         j["nodes"][5]["extras"] = json!({"sightline": 7});
     });
@@ -269,18 +276,18 @@ fn rules_match_names_of_objects_nodes_meshes_and_materials() {
     g.json["nodes"] = (0..3).map(|n| json!({"mesh": n})).collect();
     g.json["scenes"][0]["nodes"] = json!([0, 1, 2]);
     names(&mut g.json);
-    let with = |rules: &[(Kind, &str)]| {
+    let with = |rules: &[(SurfaceKind, &str)]| {
         let rules = rules
             .iter()
-            .map(|(kind, glob)| Rule::new(*kind, glob).unwrap())
+            .map(|(kind, glob)| KindRule::new(*kind, glob).unwrap())
             .collect();
-        let options = Options {
+        let options = LoadOptions {
             rules,
-            ..Options::default()
+            ..LoadOptions::default()
         };
         load_bytes_with("test.glb", &g.glb(), None, &options).unwrap()
     };
-    use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
+    use SurfaceKind::{Moving, OccluderOnly, Opaque, SeeThrough};
     let loaded = with(&[
         (Moving, "door"),
         (SeeThrough, "leaves"),
@@ -291,14 +298,14 @@ fn rules_match_names_of_objects_nodes_meshes_and_materials() {
     assert_eq!(kinds(&loaded), [Opaque, SeeThrough, SeeThrough]);
     let loaded = with(&[(SeeThrough, "leafs")]);
     assert!(
-        loaded.warnings[0].ends_with("names like it: leaves"),
+        loaded.warnings[0].ends_with("similar names: leaves"),
         "{:?}",
         loaded.warnings
     );
 }
 
 #[test]
-fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
+fn obj_materials_apply_by_face_and_missing_library_warns() {
     let dir = tempfile::tempdir().unwrap();
     let obj = "mtllib my glass.mtl gone.mtl\nmtllib ../out.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\no a\nusemtl pane\n\
                f 1 2 3\nusemtl wall\nf 1 2 3\nf 1 2 3\no b\nf 1 2 3\nusemtl nowhere\nf 1 2 3\n";
@@ -313,8 +320,8 @@ fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
         "newmtl pane\nd 0.3\nnewmtl wall\nKd 1 0 0\n",
     )
     .unwrap();
-    let loaded = load_with(&path, &Options::default()).unwrap();
-    use Kind::{Opaque, SeeThrough};
+    let loaded = load_with(&path, &LoadOptions::default()).unwrap();
+    use SurfaceKind::{Opaque, SeeThrough};
     assert_eq!(kinds(&loaded), [SeeThrough, Opaque, Opaque, Opaque, Opaque]);
     let warnings = loaded.warnings.join("\n");
     for part in [
@@ -324,7 +331,7 @@ fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
     ] {
         assert!(warnings.contains(part), "{part} in {warnings}");
     }
-    // A library whose name has spaces, and rules about materials of OBJ files.
+    // A library with spaces in its name, and rules for materials of OBJ files.
     std::fs::write(&path, obj.replace("my glass.mtl gone.mtl", "my glass.mtl")).unwrap();
     std::fs::write(
         dir.path().join("my glass.mtl"),
@@ -332,14 +339,14 @@ fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
     )
     .unwrap();
     let rules = vec![
-        Rule::new(Kind::Moving, "wall").unwrap(),
-        Rule::new(SeeThrough, "b").unwrap(),
+        KindRule::new(SurfaceKind::Moving, "wall").unwrap(),
+        KindRule::new(SeeThrough, "b").unwrap(),
     ];
     let loaded = load_with(
         &path,
-        &Options {
+        &LoadOptions {
             rules,
-            ..Options::default()
+            ..LoadOptions::default()
         },
     )
     .unwrap();
@@ -347,8 +354,8 @@ fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
         kinds(&loaded),
         [
             SeeThrough,
-            Kind::Moving,
-            Kind::Moving,
+            SurfaceKind::Moving,
+            SurfaceKind::Moving,
             SeeThrough,
             SeeThrough
         ]

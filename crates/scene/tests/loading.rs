@@ -1,5 +1,5 @@
-//! Files that the loaders accept: all features of the formats that determine triangles, in files written by
-//! hand.
+//! Files that the loaders accept: all features of the formats that determine triangles, in hand-written
+//! files.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -40,7 +40,7 @@ fn obj_keeps_order_groups_and_fans() {
 }
 
 #[test]
-fn obj_groups_that_return_are_told_apart() {
+fn repeated_obj_groups_are_separate_objects() {
     let text = "v 0 0 0\r\nv 1 0 0\r\nv 0 1 0\r\nf 1 2 3\r\ng a\r\nf 1 2 3\r\ng empty\r\ng a\r\nf 3 2 1\r\n";
     let s = load_bytes("a.obj", text.as_bytes(), None).unwrap();
     assert_eq!(
@@ -111,9 +111,9 @@ fn strips_and_fans_wind_as_specified() {
     assert_eq!(soup(&g.load().unwrap()), want);
 }
 
-/// Long enough to be read in several parts.
+/// The strip is long enough to be read in several parts.
 #[test]
-fn a_long_strip_winds_as_a_short_one() {
+fn long_strip_winds_like_short_strip() {
     let n = 20_000usize;
     let p: Vec<[f32; 3]> = (0..n + 2)
         .map(|i| [i as f32, (i % 2) as f32, (i % 7) as f32])
@@ -153,7 +153,7 @@ fn points_and_lines_are_objects_without_triangles() {
 }
 
 #[test]
-fn sparse_replaces_elements_with_and_without_a_base() {
+fn sparse_replaces_elements_with_and_without_base() {
     let mut g = square();
     let i = g.view(&[1, 3]);
     let v = g.view(bytemuck::cast_slice(&[7f32, 8., 9., -1., -2., -3.]));
@@ -187,7 +187,7 @@ fn strided_views_with_offsets() {
     assert_eq!(soup(&g.load().unwrap()), soup(&square().load().unwrap()));
 }
 
-/// Component type, whether normalised, the raw bytes of three coordinates, and what they mean.
+/// The component type, true if normalised, the raw bytes of three coordinates, and the expected values.
 type Case = (u32, bool, Vec<Vec<u8>>, [f32; 3]);
 
 #[test]
@@ -255,9 +255,9 @@ fn quantized_positions_of_each_kind() {
 }
 
 #[test]
-fn meshopt_views_give_what_was_packed() {
+fn meshopt_views_decode_to_original_data() {
     let got = soup(&packed_square().load().unwrap());
-    // The encoder may rotate a triangle; the square's two triangles keep their corners.
+    // The encoder may rotate a triangle. The square's two triangles keep their corners.
     for (got, mut want) in got.into_iter().zip(soup(&square().load().unwrap())) {
         assert!((0..3).any(|_| {
             want.rotate_left(1);
@@ -295,7 +295,7 @@ fn transforms_nest_in_depth_first_order() {
         got[6..],
         by_index(&moved([1., 2., 12.]), &[[0, 1, 2], [0, 2, 3]])
     );
-    // A quarter turn about z, twice the size: (5,0,0) goes to (0,10,0), then (1,2,3) is added.
+    // A quarter turn about z and a scale of two map (5,0,0) to (0,10,0), then (1,2,3) is added.
     let turned = got[2][0];
     for (g, w) in turned.iter().zip([1., 12., 3.]) {
         assert!((g - w).abs() < 1e-5, "{turned:?}");
@@ -303,7 +303,7 @@ fn transforms_nest_in_depth_first_order() {
 }
 
 #[test]
-fn the_scene_shown_is_the_default_else_the_first_else_all_roots() {
+fn scene_is_default_or_first_or_all_roots() {
     let mut g = square();
     g.json["nodes"] =
         json!([{"mesh": 0, "name": "a"}, {"children": [2], "name": "b"}, {"mesh": 0, "name": "c"}]);
@@ -370,7 +370,7 @@ fn deep_nesting_needs_no_stack() {
 }
 
 #[test]
-fn shared_scenes_have_the_triangles_their_list_says() {
+fn shared_scenes_have_listed_triangle_counts() {
     let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/scenes");
     if !dir.is_dir() {
         println!("shared scenes are absent; not run");
@@ -387,9 +387,9 @@ fn shared_scenes_have_the_triangles_their_list_says() {
 }
 
 proptest! {
-    /// All coordinates that loaders accept, ids and corners come back bit for bit.
+    /// All coordinates that loaders accept, ids and corners survive encoding bit for bit.
     #[test]
-    fn written_meshes_come_back_to_the_bit(
+    fn written_meshes_survive_bit_for_bit(
         raw in proptest::collection::vec(proptest::array::uniform9(any::<f32>()), 1..50)
     ) {
         let near = |c: f32| if c.abs() <= sightline_scene::MAX_COORDINATE { c } else { -0.0 };

@@ -1,9 +1,9 @@
-//! A short fuzz run with fixed seeds: small valid files with a few thousand mutations must load or be refused
-//! without a panic and without excessive memory. Files that once crashed a parser are kept in `crashes/` and
-//! run first.
+//! A short fuzz run with fixed seeds: small valid files with a few thousand mutations must load or be
+//! rejected, without a panic and without excessive memory. Files that once crashed a parser are stored in
+//! `crashes/` and run first.
 //!
-//! The long runs are in `fuzz/`, with coverage; this one only guards against regressions. One test, because
-//! it watches the memory of the whole process.
+//! The long runs with coverage are in `fuzz/`; this run only guards against regressions. There is only one
+//! test, because it measures the memory of the whole process.
 #![allow(clippy::unwrap_used, unsafe_code)]
 
 mod support;
@@ -11,11 +11,11 @@ mod support;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use sightline_scene::load::{Options, load_bytes_with};
+use sightline_scene::load::{LoadOptions, load_bytes_with};
 use sightline_scene::{fuzzing, load_bytes};
 use support::*;
 
-/// The system's allocator with a count of the bytes held and of their peak.
+/// An allocator that wraps the system's allocator and counts the allocated bytes and their peak.
 struct Counting;
 
 static HELD: AtomicUsize = AtomicUsize::new(0);
@@ -24,13 +24,13 @@ static PEAK: AtomicUsize = AtomicUsize::new(0);
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-// SAFETY: every call is handed to the system's allocator unchanged; counting touches no memory of the
-// caller's.
+// SAFETY: every call is passed to the system's allocator unchanged. The counting does not access memory of
+// the caller.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
         PEAK.fetch_max(held, Relaxed);
-        // SAFETY: the caller keeps `alloc`'s contract, which is the system's.
+        // SAFETY: the caller observes `alloc`'s contract, which is the system's.
         unsafe { System.alloc(layout) }
     }
 
@@ -41,11 +41,11 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Most memory one run may hold beyond its input: the limits of `fuzzing` allow 16384 triangles (0.6 MB),
-/// which are copied into a canonical blob and a PLY file and back.
+/// Maximum memory in bytes of one run beyond its input. The limits of `fuzzing` allow 16384 triangles (0.6
+/// MB), which are copied into a canonical blob and a PLY file and back.
 const MOST: usize = 12 << 20;
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// The generator xorshift64*, which is small and has a fixed sequence for each seed.
 struct Random(u64);
 
 impl Random {
@@ -64,7 +64,7 @@ impl Random {
     }
 }
 
-/// Numbers that parsers get wrong.
+/// Numbers that parsers often handle incorrectly.
 const NUMBERS: &[&str] = &[
     "0",
     "-1",
@@ -108,7 +108,7 @@ fn mutate(r: &mut Random, seeds: &[Vec<u8>], seed: usize) -> Vec<u8> {
             1 => b[at] = [0, 1, 0x7f, 0x80, 0xff, b'\n', b' ', b'-'][r.below(8)],
             2 => b.truncate(at),
             3 => {
-                // A piece of another file, or of this one, put in.
+                // Insert a piece of this file or of another file.
                 let other = &seeds[r.below(seeds.len())];
                 let from = r.below(other.len());
                 let piece = other[from..(from + r.below(40)).min(other.len())].to_vec();
@@ -119,7 +119,7 @@ fn mutate(r: &mut Random, seeds: &[Vec<u8>], seed: usize) -> Vec<u8> {
                 b.drain(at..end);
             }
             5 => {
-                // A word of binary data becomes a telling number.
+                // Replace a word of binary data by a critical number.
                 let v = [
                     0u32,
                     1,
@@ -134,7 +134,7 @@ fn mutate(r: &mut Random, seeds: &[Vec<u8>], seed: usize) -> Vec<u8> {
                 }
             }
             _ => {
-                // A number in the text becomes another.
+                // Replace a number in the text.
                 let Some(start) = b[at..].iter().position(u8::is_ascii_digit).map(|p| p + at)
                 else {
                     continue;
@@ -149,10 +149,10 @@ fn mutate(r: &mut Random, seeds: &[Vec<u8>], seed: usize) -> Vec<u8> {
 
 /// A function of [`fuzzing`].
 type Target = fn(&[u8]) -> bool;
-/// Mutations of each seed file.
+/// The number of mutations of each seed file.
 const ROUNDS: usize = 4000;
 
-/// Runs `target` and checks what it allocated at most.
+/// Runs `target` and checks its peak memory.
 fn run(target: Target, bytes: &[u8], what: &str) -> bool {
     let before = HELD.load(Relaxed);
     PEAK.store(before, Relaxed);
@@ -167,7 +167,7 @@ fn run(target: Target, bytes: &[u8], what: &str) -> bool {
 }
 
 #[test]
-fn mutated_files_load_or_are_refused() {
+fn mutated_files_load_or_are_rejected() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
     let mut kept: Vec<_> = std::fs::read_dir(&crashes)
         .unwrap()
@@ -196,9 +196,9 @@ fn mutated_files_load_or_are_refused() {
     };
     let blob = load_bytes("a.obj", OBJ.as_bytes(), None).unwrap().to_blob();
     let masked = card(&[0, 5], |_| {});
-    let options = Options {
+    let options = LoadOptions {
         alpha_textures: true,
-        ..Options::default()
+        ..LoadOptions::default()
     };
     let masked_blob = load_bytes_with("a.glb", &masked.glb(), None, &options)
         .unwrap()
@@ -245,7 +245,7 @@ fn mutated_files_load_or_are_refused() {
                     &format!("{name}, seed {s}, mutation {i}"),
                 ));
             }
-            // Mutations that all fail, or all pass, would reach little of a parser.
+            // If nearly all mutations fail, or nearly all pass, the test reaches little of a parser.
             assert!(
                 (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&accepted),
                 "{name}, seed {s}: {accepted} of {ROUNDS} accepted"

@@ -6,22 +6,22 @@ mod support;
 
 use glam::DVec3;
 use serde_json::{Value, json};
-use sightline_scene::load::{Options, load_bytes_with};
-use sightline_scene::{Kind, Scene, Side};
+use sightline_scene::load::{LoadOptions, load_bytes_with};
+use sightline_scene::{Scene, Side, SurfaceKind, TriangleId};
 use support::Gltf;
 
-fn culling() -> Options {
-    Options {
+fn culling() -> LoadOptions {
+    LoadOptions {
         cull_back_faces: true,
-        ..Options::default()
+        ..LoadOptions::default()
     }
 }
 
-fn load(name: &str, bytes: &[u8], options: &Options) -> Scene {
+fn load(name: &str, bytes: &[u8], options: &LoadOptions) -> Scene {
     load_bytes_with(name, bytes, None, options).unwrap().scene
 }
 
-/// A file with as many nodes as `nodes`, each with a mesh of one triangle in the plane z = 0 that winds
+/// Creates a file with `nodes` nodes, each with a mesh of one triangle in the plane z = 0 that winds
 /// counter-clockwise as seen from +z.
 fn triangles(nodes: usize, change: impl FnOnce(&mut Gltf)) -> Vec<u8> {
     let mut g = Gltf::default();
@@ -36,11 +36,13 @@ fn triangles(nodes: usize, change: impl FnOnce(&mut Gltf)) -> Vec<u8> {
 }
 
 fn sides(scene: &Scene) -> Vec<Side> {
-    (0..scene.len()).map(|t| scene.sides().side(t)).collect()
+    (0..scene.len())
+        .map(|t| scene.sides().side(TriangleId(t)))
+        .collect()
 }
 
 #[test]
-fn a_double_sided_material_keeps_both_sides() {
+fn double_sided_material_keeps_both_sides() {
     let file = triangles(4, |g| {
         g.json["materials"] =
             json!([{"doubleSided": true}, {"doubleSided": false}, {"doubleSided": "yes"}]);
@@ -57,10 +59,10 @@ fn a_double_sided_material_keeps_both_sides() {
         ]
     );
     assert_eq!(scene.sides().one_sided(), 3);
-    assert_eq!(scene.front(0), DVec3::ZERO);
-    assert!(scene.front(1).z > 0.0);
-    // Without the flag all have both, which takes no bytes beside the sources of a glTF file.
-    let plain = load("test.glb", &file, &Options::default());
+    assert_eq!(scene.front(TriangleId(0)), DVec3::ZERO);
+    assert!(scene.front(TriangleId(1)).z > 0.0);
+    // Without the flag all triangles have both sides, which add no bytes. A glTF file adds only its sources.
+    let plain = load("test.glb", &file, &LoadOptions::default());
     assert!(plain.sides().are_both());
     let without_sources = plain.clone().with_sources("test.glb", Vec::new()).unwrap();
     assert!(without_sources.to_blob().starts_with(b"SLSCENE1"));
@@ -68,10 +70,10 @@ fn a_double_sided_material_keeps_both_sides() {
 }
 
 #[test]
-fn a_mirrored_node_turns_the_front_and_keeps_the_order_of_vertices() {
+fn mirrored_node_reverses_front_and_keeps_vertex_order() {
     let file = triangles(5, |g| {
         g.json["nodes"][0]["scale"] = json!([-1, 1, 1]);
-        // Mirrored twice, once by the parent.
+        // The transform mirrors twice, once by the parent.
         g.json["nodes"][1] = json!({"mesh": 1, "scale": [1, -1, 1], "children": [2]});
         g.json["nodes"][2]["scale"] = json!([-1, 1, 1]);
         g.json["nodes"][3]["rotation"] = json!([0, 1, 0, 0]);
@@ -90,17 +92,19 @@ fn a_mirrored_node_turns_the_front_and_keeps_the_order_of_vertices() {
             Clockwise
         ]
     );
-    // A mirrored triangle is still seen from +z, and one that is turned by half a turn from −z.
-    let towards: Vec<f64> = (0..5).map(|t| scene.front(t).z.signum()).collect();
+    // A mirrored triangle still faces +z, and a triangle after half a turn faces −z.
+    let towards: Vec<f64> = (0..5)
+        .map(|t| scene.front(TriangleId(t)).z.signum())
+        .collect();
     assert_eq!(towards, [1.0, 1.0, 1.0, -1.0, 1.0]);
     assert_eq!(
         scene.triangles(),
-        load("test.glb", &file, &Options::default()).triangles()
+        load("test.glb", &file, &LoadOptions::default()).triangles()
     );
 }
 
 #[test]
-fn each_instance_has_the_side_of_its_own_transform() {
+fn instances_have_side_of_own_transform() {
     let file = triangles(1, |g| {
         let scale = g.positions(&[[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]]);
         g.json["nodes"][0]["extensions"] =
@@ -133,7 +137,10 @@ fn strips_and_fans_have_one_front() {
         g.json["nodes"] = json!([{"mesh": 0}]);
         g.json["scenes"][0]["nodes"] = json!([0]);
         let scene = load("test.glb", &g.glb(), &culling());
-        assert!((0..2).all(|t| scene.front(t).z > 0.0), "mode {mode}");
+        assert!(
+            (0..2).all(|t| scene.front(TriangleId(t)).z > 0.0),
+            "mode {mode}"
+        );
     }
 }
 
@@ -151,7 +158,7 @@ fn triangles_of_obj_and_ply_files_have_one_side() {
 }
 
 #[test]
-fn sides_and_kinds_are_part_of_the_canonical_bytes() {
+fn sides_and_kinds_are_part_of_canonical_bytes() {
     let file = |material: Value| {
         triangles(2, |g| {
             g.json["materials"] = json!([material]);
@@ -167,7 +174,7 @@ fn sides_and_kinds_are_part_of_the_canonical_bytes() {
         scene_with(json!({"doubleSided": true})),
         scene_with(json!({"alphaMode": "BLEND", "doubleSided": true})),
     );
-    let plain = load("test.glb", &file(json!({})), &Options::default());
+    let plain = load("test.glb", &file(json!({})), &LoadOptions::default());
     let mut digests = Vec::new();
     for scene in [&opaque, &glass, &double, &glass_double, &plain] {
         let again = Scene::from_blob("blob", &scene.to_blob()).unwrap();
@@ -178,11 +185,11 @@ fn sides_and_kinds_are_part_of_the_canonical_bytes() {
         assert_eq!(again.to_blob(), scene.to_blob());
         digests.push(scene.digest());
     }
-    assert_eq!(glass.kinds().kind(1), Kind::SeeThrough);
+    assert_eq!(glass.kinds().kind(TriangleId(1)), SurfaceKind::SeeThrough);
     digests.sort();
     digests.dedup();
     assert_eq!(digests.len(), 5);
-    // Any bytes after the last section, and any cut, are refused.
+    // Bytes after the last section, and truncated bytes, are rejected.
     let mut long = glass.to_blob();
     long.push(0);
     assert!(Scene::from_blob("blob", &long).is_err());

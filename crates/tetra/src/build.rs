@@ -1,51 +1,51 @@
-//! From a scene to what a `.tets` file holds.
+//! Construction of the contents of a `.tets` file from a scene.
 
 use sightline_scene::{Scene, SceneError};
 use thiserror::Error;
 
-use crate::cells::{Cells, CellsError, Counts, Tetrahedra, cells};
+use crate::cells::{CellCounts, Cells, CellsError, Tetrahedra, cells};
 use crate::delaunay::{Delaunay, DelaunayError};
 use crate::file::Contents;
-use crate::look::Hierarchy;
+use crate::point_query::Hierarchy;
 use crate::surfaces::Surfaces;
-use crate::watch::Watch;
+use crate::watch::BuildObserver;
 use crate::windings::windings;
 
-/// Everything that a `.tets` file holds, in memory.
+/// The contents of a `.tets` file, in memory.
 #[derive(Clone, Debug, Default)]
 pub struct Built {
     /// The digest of the scene.
     pub digest: [u8; 32],
-    /// The surfaces.
+    /// The triangles of the scene, with corners as indices of distinct points.
     pub surfaces: Surfaces,
-    /// The cells between them.
+    /// The cells between the surfaces.
     pub cells: Cells,
-    /// How many closed solids hold each cell.
+    /// The number of closed solids around each cell.
     pub windings: Vec<i32>,
-    /// The boxes over the triangles.
+    /// The hierarchy of boxes over the triangles.
     pub hierarchy: Hierarchy,
-    /// The number of Delaunay tetrahedra that cells are parts of.
+    /// The number of Delaunay tetrahedra that were divided into the cells.
     pub tetrahedra: u64,
-    /// How the cells came about.
-    pub counts: Counts,
+    /// Statistics about the construction of the cells.
+    pub counts: CellCounts,
 }
 
-/// Why a scene has no cells.
+/// The reason why the cells of a scene could not be built.
 #[derive(Debug, Error)]
 pub enum BuildError {
-    /// The scene has too many triangles.
+    /// The scene has more triangles than the search for closed solids supports.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The points have no tetrahedra.
+    /// The Delaunay construction rejected the points of the scene, or the observer rejected its memory use.
     #[error(transparent)]
     Delaunay(#[from] DelaunayError),
-    /// The tetrahedra have no cells.
+    /// The cells could not be built from the tetrahedra.
     #[error(transparent)]
     Cells(#[from] CellsError),
 }
 
 impl Built {
-    /// The lists.
+    /// Returns borrowed views of all lists, as [`crate::file::write()`] requires them.
     pub fn contents(&self) -> Contents<'_> {
         Contents {
             digest: self.digest,
@@ -57,11 +57,12 @@ impl Built {
     }
 }
 
-/// Fills the space between the surfaces of a scene with cells.
+/// Fills the space between the surfaces of a scene with cells, and builds all other lists of a `.tets` file.
+/// Reports the progress to `watch`.
 ///
 /// # Errors
-/// [`BuildError`].
-pub fn build(scene: &Scene, watch: &dyn Watch) -> Result<Built, BuildError> {
+/// [`BuildError`] if the scene has too many triangles, or if its tetrahedra or cells cannot be built.
+pub fn build(scene: &Scene, watch: &dyn BuildObserver) -> Result<Built, BuildError> {
     let surfaces = Surfaces::new(scene)?;
     let delaunay = Delaunay::watched(&surfaces.points, watch)?;
     let Delaunay {

@@ -1,4 +1,4 @@
-//! The bodies of the fuzz targets `soup` and `tets`, which the tests call too.
+//! The bodies of the fuzz targets `soup` and `tets`, which the tests also call.
 
 use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
@@ -7,15 +7,15 @@ use crate::build::build;
 use crate::check::check;
 use crate::file::layout::seal;
 use crate::file::{Tets, write};
-use crate::look::{Engine, Mode, Scratch, Target, View};
+use crate::point_query::{Engine, Mode, Scratch, Target, View};
 use crate::watch::Quiet;
 
-/// Most triangles of a run, so that it is fast.
+/// Maximum number of triangles of one call, which bounds its duration.
 const MOST: usize = 10;
-/// Bytes of a point in single precision.
+/// Size of a point in single precision, in bytes.
 const POINT: usize = 12;
 
-/// A file of some triangles across one another, for mutations.
+/// Returns a `.tets` file of three triangles that overlap or cross, as a seed for mutations.
 pub fn seed() -> Vec<u8> {
     let triangles = [
         [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
@@ -43,7 +43,7 @@ fn file(triangles: &[[[f32; 3]; 3]]) -> Option<Vec<u8>> {
         }],
     )
     .ok()?;
-    // Points whose box leaves single precision are refused.
+    // `build` rejects points whose enclosing box exceeds single precision.
     let built = build(&scene, &Quiet).ok()?;
     assert_eq!(check(&built.contents()), Ok(()), "{triangles:?}");
     let mut file = Vec::new();
@@ -51,11 +51,14 @@ fn file(triangles: &[[[f32; 3]; 3]]) -> Option<Vec<u8>> {
     Some(file)
 }
 
-/// Bytes as a viewpoint and corners of triangles in single precision: their cells pass the checker, both
-/// engines see the same, and all parts add up. Returns whether there were cells.
+/// Builds and queries a scene whose viewpoint and triangle corners are read from bytes. Returns true if the
+/// cells were built.
+///
+/// The bytes are coordinates in single precision. The function checks that the cells pass the checker, that
+/// both engines return the same triangles, and that all solid angles add up to 4π.
 ///
 /// # Panics
-/// Where that does not hold. No bytes may cause that.
+/// Panics if one of these checks fails. No input may cause a panic.
 pub fn soup(bytes: &[u8]) -> bool {
     let mut points = bytes.chunks_exact(POINT).map(|c| -> [f32; 3] {
         std::array::from_fn(|k| {
@@ -100,17 +103,19 @@ pub fn soup(bytes: &[u8]) -> bool {
     true
 }
 
-/// Bytes as a `.tets` file, with right checksums: it is refused, or whatever is asked of it ends. Returns
-/// whether it is read.
+/// Reads bytes as a `.tets` file after correcting the checksums, and queries the file. Returns true if
+/// [`Tets::from_bytes`] accepts the file.
+///
+/// No input may cause a panic or an endless query.
 pub fn tets(bytes: &[u8]) -> bool {
-    // As they are, whatever their checksums.
+    // The first attempt uses the unchanged bytes, whose checksums may be wrong.
     let _ = Tets::from_bytes(bytes).is_ok();
     let mut bytes = bytes.to_vec();
     seal(&mut bytes);
     let Ok(tets) = Tets::from_bytes(&bytes) else {
         return false;
     };
-    // The checker may find anything.
+    // The checker may report any fault.
     let _ = check(&tets.contents());
     let mut scratch = Scratch::default();
     for x in [[0.25, 0.5, 0.125], [0.0, 0.0, 0.0], [-1e6, 3.0, 1e6]] {

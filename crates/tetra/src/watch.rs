@@ -1,32 +1,34 @@
-//! Who follows long work: how far it is, and whether it may take so much memory.
+//! Observers of builds of `.tets` files. An observer receives the progress and can reject the memory use.
 
-/// A part of the work.
+/// A stage of a build of a `.tets` file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Points become corners of tetrahedra.
+pub enum BuildStage {
+    /// Insertion of the scene's points as corners of tetrahedra, one point per unit.
     Points,
-    /// Tetrahedra that triangles pass through are cut.
+    /// Cutting of the tetrahedra through which triangles pass, one tetrahedron per unit.
     Cut,
-    /// The faces of tetrahedra become those of cells.
+    /// Conversion of the faces of tetrahedra to faces of cells, one tetrahedron per unit.
     Faces,
 }
 
-/// Follows the work. Called from several threads.
-pub trait Watch: Sync {
-    /// So much of a stage is done.
-    fn done(&self, _stage: Stage, _done: u64, _total: u64) {}
+/// An observer of a build. Several threads call its methods.
+pub trait BuildObserver: Sync {
+    /// Receives the report that `_done` of `_total` units of a stage are done. The default ignores the
+    /// report.
+    fn done(&self, _stage: BuildStage, _done: u64, _total: u64) {}
 
-    /// From here on the work is expected to have taken so many bytes at its peak. An error ends it.
+    /// Receives the expected peak memory of the rest of the build, in bytes, and allows or rejects it. An
+    /// error ends the build. The default allows any memory use.
     ///
     /// # Errors
-    /// Why it may not go on.
+    /// A message for the user if the build must not continue.
     fn needs(&self, _bytes: u64) -> Result<(), String> {
         Ok(())
     }
 }
 
-/// Lets all work go on and tells nobody.
+/// An observer that ignores the progress and allows any memory use.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Quiet;
 
-impl Watch for Quiet {}
+impl BuildObserver for Quiet {}

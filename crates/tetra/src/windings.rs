@@ -1,21 +1,22 @@
-//! How many closed solids hold each cell.
+//! Winding numbers: the number of closed solids around each cell.
 //!
-//! Solids end at triangles, triangles are unions of faces, and outside of the box there are none; so the
-//! number follows from cell to cell, exactly: passing a triangle of a solid's surface against its normal adds
-//! 1, and passing it along its normal takes 1 away.
+//! The border of a solid consists of triangles, and triangles are unions of faces. No solid reaches beyond
+//! the box. So the number of solids around a cell follows exactly from the number around a neighbouring cell:
+//! crossing a triangle of a solid's surface against the triangle's normal adds 1, and crossing the triangle
+//! along its normal subtracts 1.
 
 use std::cmp::Ordering;
 
 use crate::cells::{CellsView, NONE};
 use crate::surfaces::{CLOSED, SurfacesView};
 
-/// The number of closed solids around each cell.
+/// Computes the number of closed solids around each cell.
 pub fn windings(surfaces: SurfacesView<'_>, cells: CellsView<'_>) -> Vec<i32> {
     let mut all = vec![0i32; cells.cell_count()];
     let mut known = vec![false; all.len()];
     let mut open: Vec<u32> = Vec::new();
     for face in &cells.faces[..cells.face_count()] {
-        // The triangles do not touch the border of the box.
+        // Triangles do not touch the border of the box, so no solid contains a cell at the border.
         if let [NONE, cell] | [cell, NONE] = face.cells
             && let Some(known) = known.get_mut(cell as usize)
             && !std::mem::replace(known, true)
@@ -39,14 +40,14 @@ pub fn windings(surfaces: SurfacesView<'_>, cells: CellsView<'_>) -> Vec<i32> {
     all
 }
 
-/// How many more solids hold the cell behind a face than the one in front.
+/// Returns the number of solids around the cell behind a face minus the number in front.
 fn behind_less_front(surfaces: SurfacesView<'_>, cells: CellsView<'_>, face: usize) -> i32 {
     let plane = cells.planes[cells.faces[face].plane as usize];
     let closed = |t: &&u32| surfaces.flags[**t as usize] & CLOSED != 0;
     let way = |t: &u32| {
         let [a, b, c] = surfaces.triangles[*t as usize];
         let own = crate::cells::Plane([a, b, c]);
-        // A normal has a coordinate that is not zero; those of one plane are multiples of each other.
+        // A normal has a nonzero coordinate, and normals of one plane are multiples of each other.
         let signs = (0..3).map(|axis| {
             (
                 own.normal_sign(cells.points, axis),

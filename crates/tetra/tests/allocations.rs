@@ -1,5 +1,6 @@
-//! After the first query nothing is allocated, but for integers. One test, because it counts what the whole
-//! process allocates.
+//! A test that queries allocate memory only for integers after the first query.
+//!
+//! The file contains one test, because it counts the allocations of the whole process.
 #![allow(clippy::unwrap_used, unsafe_code, reason = "a test of the allocator")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -32,7 +33,9 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Asks everything twice, and checks what the second time allocates.
+/// Runs every query twice, and checks the allocations of the second run.
+///
+/// Returns the number of signs that needed integers in the second runs.
 fn check(triangles: Vec<Triangle>, x: [f64; 3], with_box: bool) -> u64 {
     let count = triangles.len() as u32;
     let object = Object {
@@ -79,7 +82,7 @@ fn check(triangles: Vec<Triangle>, x: [f64; 3], with_box: bool) -> u64 {
             let before = COUNT.load(Relaxed);
             let integers = ask();
             let allocated = COUNT.load(Relaxed) - before;
-            // A sign of integers takes some dozens of them.
+            // The sign of a determinant in integers needs dozens of allocations.
             assert!(
                 allocated as u64 <= 200 * integers,
                 "{engine:?} {mode:?}: {allocated}, {integers} integers"
@@ -91,7 +94,7 @@ fn check(triangles: Vec<Triangle>, x: [f64; 3], with_box: bool) -> u64 {
 }
 
 #[test]
-fn nothing_but_integers_is_allocated_after_the_first_query() {
+fn repeated_queries_allocate_only_integers() {
     let mut state = 1u32;
     let mut unit = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -105,8 +108,8 @@ fn nothing_but_integers_is_allocated_after_the_first_query() {
         }
     };
     check((0..120).map(scattered).collect(), [5.1, 4.9, 5.3], true);
-    // Triangles apart from each other, and no box, whose sides are those of octants: doubles decide every
-    // sign.
+    // These triangles are apart from each other, and there is no box whose sides are sides of octants. So
+    // doubles decide every sign.
     let apart = |k: u32| {
         let at = Vec3::new(0.3 * (k % 5) as f32, 3.0 + k as f32, 1.7 * (k % 3) as f32);
         Triangle {

@@ -1,4 +1,4 @@
-//! Cells of known scenes and of soups pass the check, and altered ones do not.
+//! Tests of the checker on cells of known scenes, of soups, and on altered cells.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -9,10 +9,10 @@ use proptest::prelude::*;
 use shapes::{lattice_of_cubes, saddle, schonhardt};
 use sightline_geometry::predicates::collinear;
 use sightline_tetra::Quiet;
-use sightline_tetra::cells::{Cells, Counts, NONE, Tetrahedra, cells};
+use sightline_tetra::cells::{CellCounts, Cells, NONE, Tetrahedra, cells};
 use sightline_tetra::check::{Fault, check};
 use sightline_tetra::file::Contents;
-use sightline_tetra::look::Boxes;
+use sightline_tetra::point_query::Boxes;
 use sightline_tetra::surfaces::{BLOCKS, CLOSED, FLAT, Surfaces};
 use sightline_tetra::windings::windings;
 
@@ -36,10 +36,12 @@ fn surfaces(triangles: &[[[f32; 3]; 3]]) -> Surfaces {
     out
 }
 
-/// Corners or neighbours.
+/// The corners or the neighbours of each tetrahedron.
 type Four = Vec<[u32; 4]>;
 
-/// The points, those of a box around them, and six tetrahedra of the box about one of its diagonals.
+/// Returns the points with the corners of a box, and six tetrahedra that fill the box.
+///
+/// The tetrahedra share a diagonal of the box.
 fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
     let mut points = surfaces.points.clone();
     let fold =
@@ -83,7 +85,7 @@ fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
     (points, tetrahedra, neighbours)
 }
 
-fn built(surfaces: &Surfaces) -> (Cells, Counts) {
+fn built(surfaces: &Surfaces) -> (Cells, CellCounts) {
     let (points, tetrahedra, neighbours) = box_of(surfaces);
     let all = Tetrahedra {
         points: &points,
@@ -93,7 +95,7 @@ fn built(surfaces: &Surfaces) -> (Cells, Counts) {
     cells(surfaces, &all, &Quiet).unwrap()
 }
 
-/// What the checker says.
+/// Returns the result of the checker.
 fn checked(surfaces: &Surfaces, cells: &Cells, windings: &[i32]) -> Result<(), Fault> {
     let (surfaces, cells) = (surfaces.view(), cells.view());
     check(&Contents {
@@ -105,7 +107,7 @@ fn checked(surfaces: &Surfaces, cells: &Cells, windings: &[i32]) -> Result<(), F
     })
 }
 
-fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
+fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, CellCounts) {
     let surfaces = surfaces(triangles);
     let (cells, counts) = built(&surfaces);
     let around = windings(surfaces.view(), cells.view());
@@ -114,7 +116,7 @@ fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
 }
 
 #[test]
-fn the_number_of_threads_changes_nothing() {
+fn cells_do_not_depend_on_thread_count() {
     let surfaces = surfaces(&CROSS);
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -133,16 +135,16 @@ const CROSS: [[[f32; 3]; 3]; 3] = [
 ];
 
 #[test]
-fn one_triangle_is_covered() {
+fn faces_cover_one_triangle() {
     let (cells, counts) = passes(&CROSS[..1]);
     assert!(counts.cut > 0 && cells.view().cell_count() > 6);
     assert!(cells.triangles.iter().all(|id| *id == 0));
 }
 
 #[test]
-fn crossing_and_overlapping_triangles_pass() {
+fn crossing_and_overlapping_triangles_pass_checker() {
     let (cells, _) = passes(&CROSS);
-    // What the small triangle covers, the large one does, too.
+    // The large triangle covers every face that the small triangle covers.
     let both = (0..cells.view().face_count())
         .filter(|f| cells.view().face_triangles(*f) == [0, 2])
         .count();
@@ -151,7 +153,7 @@ fn crossing_and_overlapping_triangles_pass() {
 }
 
 #[test]
-fn an_empty_scene_is_the_tetrahedra() {
+fn empty_scene_has_one_cell_per_tetrahedron() {
     let surfaces = surfaces(&[[[0.0; 3], [1.0; 3], [2.0, 0.0, 0.0]]]);
     let surfaces = Surfaces {
         triangles: vec![],
@@ -168,7 +170,7 @@ fn an_empty_scene_is_the_tetrahedra() {
 }
 
 #[test]
-fn triangles_in_the_faces_of_tetrahedra_divide_them() {
+fn triangles_in_tetrahedron_faces_divide_them() {
     // The diagonal plane x = y of a cube is a face of some of the six tetrahedra.
     let t = [[1.0, 1.0, 0.0], [3.0, 3.0, 1.0], [1.0, 1.0, 4.0]];
     let corner = |x: f32| [[x, x, x], [x + 0.5, x, x], [x, x + 0.5, x]];
@@ -177,7 +179,7 @@ fn triangles_in_the_faces_of_tetrahedra_divide_them() {
 }
 
 #[test]
-fn hard_shapes_pass() {
+fn hard_shapes_pass_checker() {
     passes(&schonhardt());
     passes(&saddle());
     for (scale, shift) in [(1.0f32, 0.0f32), (0.1, 100.0), (1e-20, 0.0), (1e18, -3e18)] {
@@ -186,7 +188,7 @@ fn hard_shapes_pass() {
 }
 
 #[test]
-fn a_speck_in_a_large_box_passes() {
+fn speck_in_large_box_passes_checker() {
     let far = [[-1e7, -1e7, -1e7], [1e7, -1e7, -1e7], [0.0, 1e7, 1e7]];
     let e = 1e-6;
     let speck = [[[0.3, 0.3, 0.3], [0.3 + e, 0.3, 0.3], [0.3, 0.3 + e, 0.3]]];
@@ -195,7 +197,7 @@ fn a_speck_in_a_large_box_passes() {
 }
 
 #[test]
-fn every_kind_of_fault_is_found() {
+fn checker_finds_every_kind_of_fault() {
     let surfaces = surfaces(&CROSS);
     let (good, _) = built(&surfaces);
     let around = windings(surfaces.view(), good.view());
@@ -216,7 +218,7 @@ fn every_kind_of_fault_is_found() {
         checked(&surfaces, &good, &around_less(0)),
         Err(Fault::Solids(_))
     ));
-    // Where a triangle belongs to a closed surface, the cells beside it cannot both be outside.
+    // If a triangle belongs to a closed surface, the cells on both sides of it cannot both be outside.
     let mut closed = surfaces.clone();
     closed.flags[0] |= CLOSED;
     assert!(matches!(
@@ -245,7 +247,7 @@ fn every_kind_of_fault_is_found() {
         Fault::Vertex(_)
     ));
     let farther = |by: f64| move |c: &mut Cells| c.rounded[0][1] += by;
-    // The box is below 16 wide, and 16 · 2⁻⁴⁴ is the bound.
+    // The width of the box is below 16, so the bound is 16 · 2⁻⁴⁴.
     assert!(matches!(fails(&farther(3e-12)), Fault::Place(_)));
     assert!(matches!(fails(&farther(-3e-12)), Fault::Place(_)));
     assert!(matches!(
@@ -266,7 +268,7 @@ fn every_kind_of_fault_is_found() {
     ));
     assert!(matches!(
         fails(&|c| {
-            // Turned around with its cells on the other sides.
+            // The loop is reversed, as if its cells were on the other sides.
             let (a, b) = (start(inner), c.faces[inner + 1].loop_start as usize);
             c.loops[a..b].reverse();
         }),
@@ -311,18 +313,18 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn soups_on_a_lattice_pass(triangles in soup(lattice(), 10)) {
+    fn lattice_soups_pass_checker(triangles in soup(lattice(), 10)) {
         prop_assume!(triangles.iter().flatten().any(|p| *p != triangles[0][0]));
         passes(&triangles);
     }
 
     #[test]
-    fn soups_of_floats_pass(triangles in soup(floats(), 8)) {
+    fn float_soups_pass_checker(triangles in soup(floats(), 8)) {
         passes(&triangles);
     }
 
     #[test]
-    fn soups_of_wide_exponents_pass(triangles in soup(wide(), 5)) {
+    fn soups_with_wide_exponents_pass_checker(triangles in soup(wide(), 5)) {
         prop_assume!(triangles.iter().flatten().any(|p| *p != triangles[0][0]));
         passes(&triangles);
     }

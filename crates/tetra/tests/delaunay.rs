@@ -1,4 +1,4 @@
-//! Delaunay tetrahedra against brute force and against what must hold for them, all in integers.
+//! Tests of Delaunay tetrahedra against brute force and against their invariants, all in integers.
 #![allow(clippy::unwrap_used, reason = "tests fail by panics")]
 
 use std::cmp::Ordering;
@@ -9,9 +9,9 @@ use proptest::prelude::*;
 use sightline_tetra::Quiet;
 use sightline_tetra::delaunay::{Delaunay, DelaunayError, NONE};
 
-/// Finite numbers as integers times one power of two, and a bound of their bits.
+/// Converts finite numbers to integers times one power of two, and returns a bound of their bits.
 fn integers(x: &[[f64; 3]]) -> (Vec<[IBig; 3]>, usize) {
-    // An odd mantissa and its exponent above that of the least double.
+    // The parts are an odd mantissa and its exponent, relative to the exponent of the smallest double.
     let parts = |c: f64| {
         let field = (c.abs().to_bits() >> 52) as usize;
         let mantissa = c.to_bits() & ((1 << 52) - 1) | if field == 0 { 0 } else { 1 << 52 };
@@ -45,15 +45,16 @@ fn wide(points: &[[f32; 3]]) -> Vec<[f64; 3]> {
     points.iter().map(|p| p.map(f64::from)).collect()
 }
 
-/// Six times the volume of a tetrahedron.
+/// Returns six times the volume of a tetrahedron.
 fn volume([a, b, c, d]: [&[IBig; 3]; 4]) -> IBig {
     let [b, c, d] = [b, c, d].map(|p| [0, 1, 2].map(|k| &p[k] - &a[k]));
     let minor = |i: usize, j: usize| &b[i] * &c[j] - &b[j] * &c[i];
     minor(1, 2) * &d[0] + minor(2, 0) * &d[1] + minor(0, 1) * &d[2]
 }
 
-/// How far the point e is below the hyperplane through four lifted points, times six times their volume:
-/// positive for a conflict.
+/// Returns the scaled depth of point e below the hyperplane through four lifted points.
+///
+/// The scale is six times the volume of the tetrahedron of the four points. A positive result is a conflict.
 fn below(corners: [u32; 4], e: u32, points: &[[IBig; 3]], heights: &[IBig]) -> IBig {
     let at = |k: u32| &points[k as usize];
     let sum = (0..4).fold(IBig::ZERO, |sum, k| {
@@ -76,9 +77,11 @@ fn sorted(mut corners: [u32; 4]) -> [u32; 4] {
     corners
 }
 
-/// All quadruples that no point conflicts with, when the heights |p|² are raised by real numbers that are as
-/// small and as different as the infinitely small ones: a volume is an integer of at most 3b + 9 bits, so
-/// each share outweighs all smaller ones, and one unit of the heights outweighs all shares.
+/// Returns all quadruples that no point conflicts with, for perturbed heights |p|².
+///
+/// The heights are raised by real numbers that are as small and as different as the infinitely small ones.
+/// For coordinates of b bits, a volume is an integer of at most 3b + 9 bits. So each share outweighs all
+/// smaller shares, and one unit of the heights outweighs all shares.
 fn brute_force(points: &[[f32; 3]]) -> BTreeSet<[u32; 4]> {
     let (points, bits) = integers(&wide(points));
     let step = 3 * bits + 12;
@@ -107,8 +110,11 @@ fn brute_force(points: &[[f32; 3]]) -> BTreeSet<[u32; 4]> {
     quadruples.filter(keeps).collect()
 }
 
-/// What holds for all Delaunay tetrahedra: positive volumes that add up to the box; neighbours that name each
-/// other and share a face, or the border of the box; nothing in a neighbour's sphere; every point a corner.
+/// Checks the invariants of all Delaunay tetrahedra.
+///
+/// Volumes are positive and add up to the volume of the box. Neighbours name each other and share a face; a
+/// face without a neighbour is on the border of the box. No corner is inside a neighbour's sphere. Every
+/// point is a corner.
 fn check(d: &Delaunay, given: &[[f32; 3]]) {
     assert_eq!(&d.points[..given.len()], given);
     assert_eq!(d.points.len(), given.len() + 8);
@@ -181,7 +187,7 @@ fn cube(n: i32) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// Integer points at distance 9 from the origin.
+/// Returns the integer points at distance 9 from the origin.
 fn sphere() -> Vec<[f32; 3]> {
     let all =
         (-9i32..10).flat_map(|x| (-9..10).flat_map(move |y| (-9..10).map(move |z| [x, y, z])));
@@ -190,7 +196,7 @@ fn sphere() -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// From `x`, whether all tetrahedra can be visited so that each comes after all that are in front of it.
+/// Returns true if the tetrahedra have a front-to-back order from `x`.
 fn has_order(d: &Delaunay, x: [f64; 3]) -> bool {
     let behind = |t: u32| {
         (0..4).filter_map(move |k| {
@@ -217,7 +223,7 @@ fn has_order(d: &Delaunay, x: [f64; 3]) -> bool {
     visited == d.tetrahedra.len()
 }
 
-/// Whether the closed tetrahedron holds `x`, in integers.
+/// Returns true if the closed tetrahedron contains `x`, in integers.
 fn holds(d: &Delaunay, t: u32, x: [f64; 3]) -> bool {
     let [a, b, c, e] = d.tetrahedra[t as usize].map(|c| d.points[c as usize].map(f64::from));
     let (whole, _) = integers(&[a, b, c, e, x]);
@@ -235,7 +241,7 @@ fn in_box(d: &Delaunay, x: [f64; 3]) -> bool {
 }
 
 #[test]
-fn no_point_one_point_and_flat_sets() {
+fn small_and_flat_sets_match_brute_force() {
     is_brute_force(&[]);
     assert!((5..=6).contains(&Delaunay::new(&[]).unwrap().tetrahedra.len()));
     is_brute_force(&[[0.0; 3]]);
@@ -254,7 +260,7 @@ fn no_point_one_point_and_flat_sets() {
 }
 
 #[test]
-fn one_sphere() {
+fn points_on_sphere_match_brute_force() {
     let all = sphere();
     is_brute_force(&all[..12]);
     is_brute_force(&all.iter().rev().step_by(9).copied().collect::<Vec<_>>());
@@ -273,7 +279,7 @@ fn one_sphere() {
 }
 
 #[test]
-fn lattice_of_a_thousand() {
+fn lattice_has_valid_tetrahedra_and_order() {
     let points = cube(10);
     let d = Delaunay::new(&points).unwrap();
     check(&d, &points);
@@ -287,7 +293,7 @@ fn lattice_of_a_thousand() {
     ] {
         assert!(has_order(&d, x), "{x:?}");
     }
-    // The numbers decide the ties, so another numbering has other tetrahedra, as sound as the first.
+    // The numbers of the points decide ties, so another numbering has other, equally valid tetrahedra.
     let turned: Vec<_> = points.iter().rev().copied().collect();
     let other = Delaunay::new(&turned).unwrap();
     check(&other, &turned);
@@ -295,9 +301,9 @@ fn lattice_of_a_thousand() {
 }
 
 #[test]
-fn lattices_beyond_the_bits_of_f64() {
-    // Coarse points among very fine ones: the common unit is too small for exact doubles, so ties go to
-    // integers, of fixed width for the lattice alone and of any width with the fine points.
+fn lattices_beyond_double_precision_are_exact() {
+    // Coarse points are mixed with very fine points: the common unit is too small for exact doubles. So
+    // integers decide ties: integers of fixed width for the lattice, and of any width with the fine points.
     let mut points: Vec<_> = cube(4).iter().map(|p| p.map(|c| c * 1024.0)).collect();
     points.push([f32::from_bits(1), 1e-30, 5000.1]);
     let d = Delaunay::new(&points).unwrap();
@@ -321,7 +327,7 @@ fn lattices_beyond_the_bits_of_f64() {
 }
 
 #[test]
-fn bad_points() {
+fn new_rejects_bad_points() {
     let nan = Delaunay::new(&[[0.0; 3], [1.0, f32::NAN, 0.0]]).unwrap_err();
     assert!(
         matches!(nan, DelaunayError::NotFinite { index: 1, .. }),
@@ -350,11 +356,11 @@ fn bad_points() {
 }
 
 #[test]
-fn places_on_a_lattice_are_found() {
+fn locate_finds_lattice_places() {
     let d = Delaunay::new(&cube(4)).unwrap();
     let mut hint = u32::MAX;
     for i in 0..4096u32 {
-        // Every third of these is on a plane of the lattice in some axis; some are outside of the box.
+        // Every third of these points is on a plane of the lattice in some axis; some are outside of the box.
         let x: [f64; 3] = [i & 15, i >> 4 & 15, i >> 8].map(|c| f64::from(c) / 3.0 - 1.0);
         let found = d.locate(x, hint);
         assert_eq!(found.is_some(), in_box(&d, x), "{x:?}");
@@ -383,7 +389,7 @@ fn places_on_a_lattice_are_found() {
 }
 
 #[test]
-fn powers_are_those_of_the_spheres() {
+fn power_matches_circumspheres() {
     let points = cube(3);
     let d = Delaunay::new(&points).unwrap();
     let x = [0.75, -3.0, 10.5];
@@ -392,7 +398,8 @@ fn powers_are_those_of_the_spheres() {
             assert!(d.power(t, d.points[*corner as usize].map(f64::from)).abs() < 1e-12);
         }
         if corners.iter().all(|c| *c < 27) {
-            // The sphere of a cube of the lattice, centred in its middle: 3/4 is the squared radius.
+            // The sphere of a cube of the lattice is centred in the cube's middle, and its squared radius is
+            // 3/4.
             let middle: [f64; 3] = std::array::from_fn(|k| {
                 corners
                     .iter()
@@ -442,7 +449,7 @@ fn some_points() -> impl Strategy<Value = Vec<[f32; 3]>> {
     ]
 }
 
-/// Coordinates of all magnitudes that leave room for a box.
+/// Generates coordinates of all magnitudes that leave room for a box.
 fn any_magnitude() -> impl Strategy<Value = Vec<[f32; 3]>> {
     let c = any::<f32>().prop_filter("room for the box", |c| c.is_finite() && c.abs() < 2e38);
     let c = prop_oneof![
@@ -459,12 +466,12 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
-    fn brute_force_finds_the_same(points in some_points()) {
+    fn tetrahedra_match_brute_force(points in some_points()) {
         is_brute_force(&points);
     }
 
     #[test]
-    fn an_order_and_places_from_everywhere(
+    fn any_viewpoint_has_order_and_location(
         points in some_points(), x in prop::array::uniform3(-1.0f64..5.0),
     ) {
         let d = Delaunay::new(&points).unwrap();
@@ -481,16 +488,18 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
 
     #[test]
-    fn brute_force_finds_the_same_for_all_magnitudes(points in any_magnitude()) {
+    fn all_magnitudes_match_brute_force(points in any_magnitude()) {
         is_brute_force(&points);
     }
 }
 
-/// Times of a lattice of 100³ points, and of the scenes whose paths are in `DELAUNAY_SCENES`, separated by
-/// spaces: `cargo test --release -p sightline-tetra --test delaunay -- --ignored --nocapture`.
+/// Prints the times for a lattice of 100³ points, and for the scenes in `DELAUNAY_SCENES`.
+///
+/// The variable contains paths separated by spaces. Run
+/// `cargo test --release -p sightline-tetra --test delaunay -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints times; takes many seconds"]
-fn times() {
+fn print_times() {
     let mut sets = vec![("lattice".to_owned(), cube(100))];
     for path in std::env::var("DELAUNAY_SCENES")
         .unwrap_or_default()

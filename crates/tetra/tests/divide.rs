@@ -1,4 +1,4 @@
-//! Tetrahedra meet face to face, fill the box, and cover each triangle.
+//! Tests of the division: tetrahedra meet face to face, fill the box, and cover each triangle.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_tetra::divide::divide;
+use sightline_tetra::division::divide;
 use sightline_tetra::{Quiet, build};
 
 type T = [[f32; 3]; 3];
@@ -59,7 +59,7 @@ fn check(triangles: &[T]) -> Result<(), TestCaseError> {
         size
     );
     for (face, sides) in &faces {
-        // Places are rounded.
+        // The places of the corners are rounded.
         let is_at = |v: &u32, k: usize, c: &[f32; 3]| {
             (place(*v)[k] - f64::from(c[k])).abs() < 1e-12 * size[k]
         };
@@ -96,8 +96,8 @@ fn check(triangles: &[T]) -> Result<(), TestCaseError> {
 }
 
 #[test]
-fn known_scenes_are_divided() {
-    // A T-junction, triangles across one another, and one in another's plane.
+fn known_scenes_divide_face_to_face() {
+    // The scene has a T-junction, triangles that cross one another, and a triangle in another's plane.
     check(&[
         [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
         [[1.0, 0.0, -2.0], [2.0, 0.0, 2.0], [3.0, 0.0, 0.0]],
@@ -111,7 +111,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn soups_on_a_lattice_are_divided(
+    fn lattice_soups_divide_face_to_face(
         soup in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-3i8..4)), 1..10)
     ) {
         let soup: Vec<T> = soup.into_iter().map(|t| t.map(|p| p.map(f32::from))).collect();
@@ -119,7 +119,7 @@ proptest! {
     }
 
     #[test]
-    fn soups_of_floats_are_divided(
+    fn float_soups_divide_face_to_face(
         soup in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-1.0f32..1.0)), 1..7)
     ) {
         check(&soup)?;

@@ -1,4 +1,4 @@
-//! Cells that are altered as a whole, so that all lists agree with each other, do not pass the check.
+//! Tests that the checker rejects altered cells whose lists still agree with each other.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -9,7 +9,7 @@ use sightline_tetra::check::{Fault, check};
 use sightline_tetra::file::Contents;
 use sightline_tetra::{Built, Quiet, build};
 
-/// A face by itself.
+/// A face with separate lists of its vertices and triangles.
 #[derive(Clone)]
 struct Face {
     plane: u32,
@@ -18,7 +18,7 @@ struct Face {
     cells: [u32; 2],
 }
 
-/// Faces, and the faces of each cell as the file lists them.
+/// The faces, and the faces of each cell as the file lists them.
 #[derive(Clone)]
 struct Loose {
     faces: Vec<Face>,
@@ -26,7 +26,7 @@ struct Loose {
 }
 
 impl Loose {
-    fn of(cells: &Cells) -> Self {
+    fn from_cells(cells: &Cells) -> Self {
         let view = cells.view();
         let face = |f: usize| Face {
             plane: view.faces[f].plane,
@@ -42,7 +42,7 @@ impl Loose {
         }
     }
 
-    /// The lists of the file again; points, planes and vertices are those of `base`.
+    /// Joins the lists to cells in file form. Points, planes and vertices are copied from `base`.
     fn joined(self, base: &Cells) -> Cells {
         let mut out = Cells {
             faces: vec![],
@@ -81,7 +81,7 @@ impl Loose {
         out
     }
 
-    /// An inner face without triangles whose cells have so many faces at least.
+    /// Returns an inner face without triangles whose cells have at least the given number of faces.
     fn inner(&self, faces: usize) -> u32 {
         let fits = |f: &Face| {
             f.triangles.is_empty()
@@ -117,9 +117,9 @@ fn world() -> Built {
     .unwrap()
 }
 
-/// What the checker says of altered cells.
+/// Returns the fault that the checker reports for altered cells.
 fn fault(built: &Built, alter: impl Fn(&mut Loose)) -> Fault {
-    let mut loose = Loose::of(&built.cells);
+    let mut loose = Loose::from_cells(&built.cells);
     alter(&mut loose);
     let windings = vec![0; loose.cells.len()];
     let cells = loose.joined(&built.cells);
@@ -132,9 +132,9 @@ fn fault(built: &Built, alter: impl Fn(&mut Loose)) -> Fault {
 }
 
 #[test]
-fn lists_that_were_taken_apart_and_joined_again_pass() {
+fn separated_and_joined_lists_pass_checker() {
     let built = world();
-    let cells = Loose::of(&built.cells).joined(&built.cells);
+    let cells = Loose::from_cells(&built.cells).joined(&built.cells);
     assert_eq!(
         check(&Contents {
             cells: cells.view(),
@@ -145,7 +145,7 @@ fn lists_that_were_taken_apart_and_joined_again_pass() {
 }
 
 #[test]
-fn a_cell_of_another_tetrahedron_is_found() {
+fn checker_rejects_cell_of_another_tetrahedron() {
     let built = world();
     let last = built.cells.view().cell_count();
     for (cell, tetrahedron) in [(0, 1), (7, 5_000_000), (last - 1, 0), (last, 0)] {
@@ -170,9 +170,9 @@ fn a_cell_of_another_tetrahedron_is_found() {
 }
 
 #[test]
-fn a_face_inside_of_the_box_with_one_cell_is_found() {
+fn checker_rejects_inner_face_with_one_cell() {
     let built = world();
-    let face = Loose::of(&built.cells).inner(5);
+    let face = Loose::from_cells(&built.cells).inner(5);
     let found = fault(&built, |all| {
         let behind = all.faces[face as usize].cells[1];
         all.faces[face as usize].cells[1] = NONE;
@@ -182,9 +182,9 @@ fn a_face_inside_of_the_box_with_one_cell_is_found() {
 }
 
 #[test]
-fn cells_on_the_wrong_sides_of_a_face_are_found() {
+fn checker_rejects_cells_on_wrong_sides_of_face() {
     let built = world();
-    let face = Loose::of(&built.cells).inner(4);
+    let face = Loose::from_cells(&built.cells).inner(4);
     let found = fault(&built, |all| {
         for cell in all.faces[face as usize].cells {
             all.cells[cell as usize]
@@ -201,10 +201,10 @@ fn cells_on_the_wrong_sides_of_a_face_are_found() {
 }
 
 #[test]
-fn a_cell_without_an_inside_is_found() {
+fn checker_rejects_cell_without_inside() {
     let built = world();
-    // Two faces of one plane, each once more: the new cell is between each and its copy.
-    let all = Loose::of(&built.cells);
+    // Two faces of one plane are duplicated. The new cell is between each face and its copy.
+    let all = Loose::from_cells(&built.cells);
     let inner = |f: &Face| f.cells.iter().all(|c| *c != NONE);
     let pair = (0..all.faces.len()).find_map(|f| {
         let other = (f + 1..all.faces.len()).find(|g| all.faces[*g].plane == all.faces[f].plane)?;
@@ -234,10 +234,10 @@ fn a_cell_without_an_inside_is_found() {
 }
 
 #[test]
-fn a_hole_between_two_cells_is_found() {
+fn checker_rejects_hole_between_cells() {
     let built = world();
-    let face = Loose::of(&built.cells).inner(5);
-    let cells = Loose::of(&built.cells).faces[face as usize].cells;
+    let face = Loose::from_cells(&built.cells).inner(5);
+    let cells = Loose::from_cells(&built.cells).faces[face as usize].cells;
     let found = fault(&built, |all| {
         all.faces.remove(face as usize);
         for faces in &mut all.cells {
@@ -255,7 +255,7 @@ fn a_hole_between_two_cells_is_found() {
 }
 
 #[test]
-fn cells_that_fill_the_box_twice_are_found() {
+fn checker_rejects_cells_that_fill_box_twice() {
     let built = world();
     let found = fault(&built, |all| {
         let (faces, cells) = (all.faces.len() as u32, all.cells.len() as u32);
@@ -272,7 +272,7 @@ fn cells_that_fill_the_box_twice_are_found() {
         let copies: Vec<Vec<u32>> = all
             .cells
             .iter()
-            .map(|of| of.iter().map(|f| f + 2 * faces).collect())
+            .map(|listed| listed.iter().map(|f| f + 2 * faces).collect())
             .collect();
         all.cells.extend(copies);
     });

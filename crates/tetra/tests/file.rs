@@ -1,18 +1,18 @@
-//! Files come back as they were written, and altered ones are refused.
+//! Tests of the file format: files are read as they were written, and altered files are rejected.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
 use sightline_tetra::cells::{NONE, Tetrahedra, cells};
 use sightline_tetra::file::{Layout, Section, TetsError, write};
-use sightline_tetra::look::Hierarchy;
+use sightline_tetra::point_query::Hierarchy;
 use sightline_tetra::surfaces::{BLOCKS, SHOWS, Surfaces};
 use sightline_tetra::windings::windings;
 use sightline_tetra::{Built, Quiet, Tets};
 
 const DIGEST: [u8; 32] = [5; 32];
 
-/// One triangle in a box of five tetrahedra.
+/// Builds one triangle in a box of five tetrahedra.
 fn built() -> Built {
     let surfaces = Surfaces {
         points: vec![[0.25, 0.25, 0.25], [0.75, 0.25, 0.5], [0.25, 0.75, 0.75]],
@@ -63,7 +63,7 @@ fn bytes(built: &Built) -> Vec<u8> {
 }
 
 #[test]
-fn what_was_written_is_read() {
+fn file_round_trip_keeps_contents() {
     let built = built();
     let file = bytes(&built);
     assert_eq!(
@@ -92,7 +92,7 @@ fn what_was_written_is_read() {
 }
 
 #[test]
-fn every_cut_and_every_altered_byte_is_told() {
+fn rejects_every_cut_and_every_altered_byte() {
     let file = bytes(&built());
     for end in 0..file.len() {
         let error = Tets::from_bytes(&file[..end]).unwrap_err();
@@ -111,7 +111,7 @@ fn every_cut_and_every_altered_byte_is_told() {
 }
 
 #[test]
-fn another_scene_is_told() {
+fn rejects_file_of_another_scene() {
     let built = built();
     built.contents().expect_scene(&DIGEST).unwrap();
     let error = built.contents().expect_scene(&[6; 32]).unwrap_err();
@@ -119,9 +119,9 @@ fn another_scene_is_told() {
 }
 
 proptest! {
-    /// Words altered under a right checksum: whatever is read has numbers that name something.
+    /// Alters words under a right checksum: the file is rejected, or all its indices are in range.
     #[test]
-    fn tampered_numbers_are_refused_or_harmless(
+    fn tampered_numbers_are_rejected_or_harmless(
         list in 0usize..10, at in any::<prop::sample::Index>(), to in any::<u32>(),
     ) {
         let mut built = built();
@@ -139,7 +139,7 @@ proptest! {
             _ => { let i = at.index(built.windings.len()); built.windings[i] = to as i32 }
         }
         if let Ok(read) = Tets::from_bytes(&bytes(&built)) {
-            // The checker may find anything, and does not panic.
+            // The checker may report any fault but must not panic.
             let contents = read.contents();
             let _ = sightline_tetra::check::check(&contents);
             for f in 0..contents.cells.face_count() {

@@ -1,9 +1,8 @@
-//! The bodies of the fuzz targets `soup` and `tets` on random and mutated bytes, and on inputs that once
-//! failed.
+//! Runs of the fuzz targets `soup` and `tets` on random, mutated and formerly failing inputs.
 
 use sightline_tetra::fuzzing::{seed, soup, tets};
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// A xorshift64* generator, which has a fixed sequence for each seed.
 struct Random(u64);
 
 impl Random {
@@ -22,7 +21,7 @@ impl Random {
     }
 }
 
-/// Numbers that meet, nearly meet, and reach the limits of single precision.
+/// Coordinates that are equal, nearly equal, or at the limits of single precision.
 const NUMBERS: [f32; 14] = [
     0.0,
     -0.0,
@@ -41,7 +40,7 @@ const NUMBERS: [f32; 14] = [
 ];
 
 #[test]
-fn soups_of_any_numbers_have_cells_and_are_seen_alike() {
+fn engines_agree_on_soups_of_any_numbers() {
     let mut random = Random::new(0x5eed_0001);
     let mut built = 0;
     for _ in 0..120 {
@@ -52,7 +51,7 @@ fn soups_of_any_numbers_have_cells_and_are_seen_alike() {
         built += usize::from(soup(&bytes));
     }
     assert!(built > 90, "{built} soups had cells");
-    // Bits of any kind.
+    // Arbitrary bits are coordinates too.
     for _ in 0..40 {
         let bytes: Vec<u8> = (0..12 * (4 + 3 * random.below(4)))
             .map(|_| random.below(256) as u8)
@@ -62,7 +61,7 @@ fn soups_of_any_numbers_have_cells_and_are_seen_alike() {
 }
 
 #[test]
-fn altered_files_are_refused_or_harmless() {
+fn altered_files_are_rejected_or_harmless() {
     let seed = seed();
     assert!(tets(&seed));
     let mut random = Random::new(0x5eed_0002);

@@ -1,17 +1,17 @@
-//! Points in closed solids, in their cavities and on their borders, and where they are found.
+//! Tests of point location, and of points in closed solids, in cavities and on borders.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
 use glam::Vec3;
 use proptest::prelude::*;
-use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
+use sightline_scene::{Kinds, Object, Scene, SurfaceKind, Triangle};
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::{Quiet, Scratch, Tets, build};
 
 type T = [[f32; 3]; 3];
 
-/// The twelve triangles of a box; their normals point out, or in.
+/// Returns the twelve triangles of a box; the normals point out if `out` is true, otherwise in.
 fn cube(low: [f32; 3], high: [f32; 3], out: bool) -> Vec<T> {
     let corner = |bits: usize| -> [f32; 3] {
         std::array::from_fn(|k| if bits >> k & 1 == 1 { high[k] } else { low[k] })
@@ -36,7 +36,7 @@ fn tets(triangles: &[T]) -> Tets {
     tets_with(triangles, &[])
 }
 
-/// The same with some triangles see-through.
+/// Builds the cells of triangles of which some are see-through.
 fn tets_with(triangles: &[T], see_through: &[u32]) -> Tets {
     let triangles: Vec<Triangle> = triangles
         .iter()
@@ -52,9 +52,9 @@ fn tets_with(triangles: &[T], see_through: &[u32]) -> Tets {
     };
     let kind = |id: u32| {
         if see_through.contains(&id) {
-            Kind::SeeThrough
+            SurfaceKind::SeeThrough
         } else {
-            Kind::Opaque
+            SurfaceKind::Opaque
         }
     };
     let kinds = Kinds::from_runs((0..count).map(|id| (1, kind(id), "a test")), Vec::new());
@@ -74,7 +74,7 @@ fn inside(tets: &Tets, x: [f64; 3]) -> bool {
 }
 
 #[test]
-fn a_solid_holds_its_inside_and_not_its_border() {
+fn solid_contains_inside_but_not_border() {
     let tets = tets(&cube([0.0; 3], [1.0; 3], true));
     for (x, expected) in [
         ([0.5; 3], true),
@@ -82,7 +82,7 @@ fn a_solid_holds_its_inside_and_not_its_border() {
         ([0.0, 0.5, 0.5], false),
         ([1.0; 3], false),
         ([-0.001, 0.5, 0.5], false),
-        // In the box around all cells, and outside of it.
+        // The first point is in the box around all cells, the second point is outside of it.
         ([1.03, 0.5, 0.5], false),
         ([1e30, 0.5, 0.5], false),
     ] {
@@ -95,7 +95,7 @@ fn a_solid_holds_its_inside_and_not_its_border() {
 }
 
 #[test]
-fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
+fn cavities_are_inside_but_rooms_and_open_boxes_are_not() {
     let mut hollow = cube([0.0; 3], [4.0; 3], true);
     hollow.extend(cube([1.0; 3], [3.0; 3], false));
     let hollow = tets(&hollow);
@@ -104,7 +104,7 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
             .into_iter()
             .all(|at| inside(&hollow, [at; 3]))
     );
-    // A crate in a room whose walls face in.
+    // The scene is a crate in a room whose walls face in.
     let mut level = cube([0.0; 3], [4.0; 3], false);
     level.extend(cube([1.5; 3], [2.5; 3], true));
     let level = tets(&level);
@@ -115,7 +115,7 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
         &tets(&cube([0.0; 3], [4.0; 3], true)[1..]),
         [2.0; 3]
     ));
-    // A box with a window is open, and a pane on a box does not open it.
+    // A box with a window is open, and a pane on a box does not open the box.
     let closed = cube([0.0; 3], [4.0; 3], true);
     assert!(!inside(&tets_with(&closed, &[3]), [2.0; 3]));
     let mut with_pane = closed.clone();
@@ -123,7 +123,8 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
     assert!(
         !inside(&tets(&with_pane), [2.0; 3]) && inside(&tets_with(&with_pane, &[12]), [2.0; 3])
     );
-    // Two solids that overlap, and two that touch: a point is inside of their union or not.
+    // There are two solids that overlap, and two that touch. The function tests if a point is inside their
+    // union.
     let mut two = cube([0.0; 3], [1.0; 3], true);
     two.extend(cube([0.25, 0.25, 0.25], [2.0; 3], true));
     let two = tets(&two);
@@ -138,10 +139,11 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Boxes anywhere, also across one another: a point is inside when it is in one whose normals point out.
-    /// Wherever the walk begins, it ends in a cell that holds the point.
+    /// A point is inside if it is in a box whose normals point out; boxes may cross one another.
+    ///
+    /// From any start cell, the walk ends in a cell that contains the point.
     #[test]
-    fn boxes_hold_what_is_in_them(
+    fn points_are_inside_boxes_that_face_out(
         boxes in prop::collection::vec(
             (prop::array::uniform3(0i8..6), prop::array::uniform3(1i8..4), any::<bool>()),
             1..4,
@@ -154,7 +156,7 @@ proptest! {
         let all: Vec<([f32; 3], [f32; 3], bool)> = boxes
             .iter()
             .enumerate()
-            // No two share a side, so that no two surfaces become one.
+            // The offset prevents that two boxes share a side, so that no two surfaces become one.
             .map(|(n, (low, size, out))| {
                 (low.map(|v| place(n, v)), std::array::from_fn(|k| place(n, low[k] + size[k])), *out)
             })

@@ -1,4 +1,4 @@
-//! Known sets and solid angles, and properties of sets from points in random scenes.
+//! Tests of known sets and solid angles.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
@@ -9,7 +9,9 @@ use sightline_scene::{Object, Scene, Triangle};
 use sightline_tetra::Quiet;
 use sightline_tetra::cells::{Tetrahedra, cells};
 use sightline_tetra::delaunay::Delaunay;
-use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Scratch, Seen, Target, View};
+use sightline_tetra::point_query::{
+    Engine, Hierarchy, Looker, Mode, Scratch, Target, View, VisibleTriangles,
+};
 use sightline_tetra::surfaces::Surfaces;
 
 fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
@@ -32,7 +34,7 @@ fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
     .unwrap()
 }
 
-fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) -> Seen {
+fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) -> VisibleTriangles {
     let surfaces = Surfaces::new(&scene(triangles)).unwrap();
     let hierarchy = Hierarchy::new(surfaces.view());
     let mut scratch = Scratch::default();
@@ -42,7 +44,7 @@ fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) ->
         .clone()
 }
 
-fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> Seen {
+fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> VisibleTriangles {
     let view = View {
         witnesses: true,
         ..View::default()
@@ -50,12 +52,12 @@ fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> Seen {
     look_as(triangles, x, &view, Mode::Exact)
 }
 
-/// The four corners of a rectangle as two triangles.
+/// Returns the rectangle with four corners as two triangles.
 fn quad(a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]) -> [[[f32; 3]; 3]; 2] {
     [[a, b, c], [a, c, d]]
 }
 
-/// The twelve triangles of a box.
+/// Returns the twelve triangles of a box.
 fn cube(low: [f32; 3], high: [f32; 3]) -> Vec<[[f32; 3]; 3]> {
     let p =
         |x: usize, y: usize, z: usize| [[low, high][x][0], [low, high][y][1], [low, high][z][2]];
@@ -69,19 +71,22 @@ fn cube(low: [f32; 3], high: [f32; 3]) -> Vec<[[f32; 3]; 3]> {
     all
 }
 
-fn total(seen: &Seen) -> f64 {
+fn total(seen: &VisibleTriangles) -> f64 {
     seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen + seen.dropped
 }
 
-/// The solid angle of a rectangle with corners (a, b) and (c, d) in the plane at a distance h (its corners'
-/// arctangents).
+/// Computes the solid angle of a rectangle in the plane at distance h.
+///
+/// The rectangle has the opposite corners (a, b) and (c, d).
+///
+/// The result is a sum of the arctangents of the four corners.
 fn rectangle(a: f64, b: f64, c: f64, d: f64, h: f64) -> f64 {
     let f = |x: f64, y: f64| libm::atan2(x * y, h * (x * x + y * y + h * h).sqrt());
     f(c, d) - f(a, d) - f(c, b) + f(a, b)
 }
 
 #[test]
-fn a_closed_box_is_seen_whole_from_inside() {
+fn closed_box_is_fully_visible_from_inside() {
     let room = cube([0.0; 3], [1.0, 2.0, 3.0]);
     for x in [[0.5, 1.0, 1.5], [0.01, 0.02, 2.9], [0.1, 1.7, 0.3]] {
         let seen = look(&room, x);
@@ -101,9 +106,9 @@ fn a_closed_box_is_seen_whole_from_inside() {
 }
 
 #[test]
-fn a_slit_shows_what_is_behind_it() {
+fn slit_shows_wall_behind() {
     for width in [0.1f32, 1e-3, 1e-6] {
-        // A wall of two parts with a slit between them, and a wall behind it.
+        // The scene is a wall of two parts with a slit between them, and a wall behind it.
         let (a, b) = (-width / 2.0, width / 2.0);
         let mut all = Vec::new();
         all.extend(quad(
@@ -127,7 +132,8 @@ fn a_slit_shows_what_is_behind_it() {
         let seen = look(&all, [0.0; 3]);
         assert_eq!(seen.visible, [0, 1, 2, 3, 4, 5], "{width}");
         let slit = f64::from(width) / 2.0;
-        // From z = 1, the slit; the wall behind is cut at its own top and bottom.
+        // As directions at z = 1, the visible part has the width of the slit and the height of the wall
+        // behind.
         let truth = rectangle(-slit, -4.5, slit, 4.5, 1.0);
         let behind = seen.areas[4] + seen.areas[5];
         assert!((behind - truth).abs() < 1e-12, "{width}: {behind} {truth}");
@@ -135,7 +141,9 @@ fn a_slit_shows_what_is_behind_it() {
     }
 }
 
-/// A wall in the plane z with a window from (a, b) to (c, d), in four rectangles of two triangles.
+/// Returns a wall in the plane z with a window from (a, b) to (c, d).
+///
+/// The wall consists of four rectangles of two triangles.
 fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
     let part = |x0: f32, y0: f32, x1: f32, y1: f32| {
         quad([x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z])
@@ -149,11 +157,10 @@ fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
     .concat()
 }
 
-/// Three walls whose windows are beside one another, so that a line through all of them exists for some: what
-/// is left of the last wall's window is a rectangle.
+/// Three walls have staggered windows. The directions through all three windows form a rectangle.
 #[test]
-fn staggered_walls_show_what_their_windows_have_in_common() {
-    // From the origin: windows of the planes 1, 2 and 3, as directions at z = 1.
+fn staggered_windows_show_common_part() {
+    // The windows are in the planes z = 1, 2 and 3. Divided by z, their coordinates are directions at z = 1.
     let windows = [
         [-0.5f32, -0.5, 0.25, 0.25],
         [0.0, -1.0, 1.0, 0.0],
@@ -169,8 +176,8 @@ fn staggered_walls_show_what_their_windows_have_in_common() {
         [50.0, 50.0, 9.0],
         [-50.0, 50.0, 9.0],
     ));
-    // x from 0 to 0.125: the second window begins there and the third ends. y from −0.25 to 0: those of the
-    // third and of the second.
+    // The common part has x from 0, where the second window begins, to 0.125, where the third window ends. It
+    // has y from −0.25, where the third window begins, to 0, where the second window ends.
     let truth = rectangle(0.0, -0.25, 0.125, 0.0, 1.0);
     for (scale, shift) in [
         (1.0f32, 0.0f32),
@@ -192,7 +199,7 @@ fn staggered_walls_show_what_their_windows_have_in_common() {
                 .filter(|v| *v.0 as usize >= last)
                 .map(|v| v.1)
                 .sum();
-            // 3 and 0.01 times a coordinate are rounded.
+            // The products of 3 or 0.01 and a coordinate are rounded.
             let bound = if scale == 3.0 || scale == 0.01 || scale == 100.0 {
                 1e-7
             } else {
@@ -205,16 +212,16 @@ fn staggered_walls_show_what_their_windows_have_in_common() {
             assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
         }
     }
-    // A window that begins where the one before it ends shows nothing of what is behind.
+    // A window that begins where the previous window ends hides everything behind it.
     let shut = wall(3.0, [-1.5, -0.75, 0.0, 1.5]);
     all.splice(16..24, shut);
     assert!(look(&all, [0.0; 3]).visible.iter().all(|t| *t < 24));
 }
 
 #[test]
-fn closed_seams_show_nothing() {
-    // A wall in strips with corners that do not agree (T-junctions), at coordinates that are not exact in
-    // binary.
+fn closed_seams_hide_everything_behind() {
+    // The wall consists of strips with corners that do not agree (T-junctions). Its coordinates are not exact
+    // in binary.
     let mut all = Vec::new();
     let cut = |k: u32, n: u32| -3.0 + 6.0 * (k as f32) / (n as f32);
     for (row, (z0, z1)) in [(-3.0f32, -0.7f32), (-0.7, 1.1), (1.1, 3.0)]
@@ -239,7 +246,7 @@ fn closed_seams_show_nothing() {
 }
 
 #[test]
-fn doubled_and_overlapping_triangles_are_all_listed_and_the_least_has_the_area() {
+fn overlap_area_belongs_to_smallest_id() {
     let t = [[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0f32]];
     let turned = [t[0], t[2], t[1]];
     let shifted = t.map(|p| [p[0] + 0.5, p[1], p[2]]);
@@ -254,8 +261,8 @@ fn doubled_and_overlapping_triangles_are_all_listed_and_the_least_has_the_area()
 }
 
 #[test]
-fn doubled_triangles_leave_nothing_undecided_in_the_conservative_mode() {
-    // All of each octant is covered by walls with two sides.
+fn conservative_mode_decides_doubled_triangles() {
+    // Walls with two sides cover each octant completely.
     let mut room = cube([0.0; 3], [1.0, 2.0, 3.0]);
     room.extend(room.clone().iter().map(|t| [t[0], t[2], t[1]]));
     let view = View {
@@ -268,9 +275,9 @@ fn doubled_triangles_leave_nothing_undecided_in_the_conservative_mode() {
     assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
 }
 
-/// So near to a corner that products of the ways to the others underflow.
+/// The viewpoint is so near to a corner that products of the vectors to the other corners underflow.
 #[test]
-fn a_point_at_the_least_distance_from_a_corner_sees_what_one_nearby_sees() {
+fn viewpoint_at_corner_sees_same_set_as_nearby() {
     let t = [[0.0, 0.0, 0.0], [0.375, 0.625, 0.0], [0.5625, 0.0, 0.9375]];
     let near = look(&[t], [1e-100; 3]);
     for x in [5e-324, 1e-320, 1e-300, 1e-200] {
@@ -285,10 +292,11 @@ fn a_point_at_the_least_distance_from_a_corner_sees_what_one_nearby_sees() {
     }
 }
 
-/// Seen from far away, boxes are left out as from nearby: their number for a beam does not grow with the
-/// scene.
+/// Beams of a distant viewpoint exclude as many boxes as beams of a near viewpoint.
+///
+/// So the number of boxes per beam does not grow with the scene.
 #[test]
-fn a_scene_far_away_is_not_gone_through_for_every_beam() {
+fn boxes_per_beam_stay_bounded_for_distant_scenes() {
     let crowd: Vec<_> = (0..3000u16)
         .map(|k| {
             let part = |by: f32| (f32::from(k) * by).fract();
@@ -329,24 +337,24 @@ fn crossing_rectangles_hide_half_of_each_other() {
 }
 
 #[test]
-fn a_point_in_a_triangle_sees_it_and_what_is_on_both_sides() {
+fn viewpoint_in_triangle_sees_both_sides() {
     let t = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0f32]];
     let up = t.map(|p| [p[0], p[1], 1.0]);
     let down = t.map(|p| [p[0], p[1], -1.0]);
     let flat = t.map(|p| [p[0] + 5.0, p[1], p[2]]);
     let all = [t, up, down, flat];
-    // In its inside, on an edge, at a corner.
+    // These viewpoints are inside the triangle, on an edge, and at a corner.
     for x in [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, -1.0, 0.0]] {
         let seen = look(&all, x);
         assert_eq!(seen.visible, [0, 1, 2], "{x:?}");
         assert_eq!(seen.areas[0], 0.0);
     }
-    // In its plane, outside of it.
+    // This viewpoint is in the triangle's plane but outside of the triangle.
     assert_eq!(look(&all, [0.0, 1.5, 0.0]).visible, [1, 2]);
 }
 
 #[test]
-fn cones_and_distances_limit_the_view() {
+fn cones_and_distances_limit_view() {
     let room = cube([-1.0; 3], [1.0; 3]);
     let cap = |half: f64| 2.0 * PI * (1.0 - half.cos());
     for degrees in [1.0f64, 40.0, 90.0, 150.0, 179.0, 200.0, 300.0, 360.0] {
@@ -363,7 +371,7 @@ fn cones_and_distances_limit_the_view() {
             total(&seen)
         );
     }
-    // A wall at distance 1: within 2, a disk of 60 degrees around its normal.
+    // The wall is at distance 1, so a distance of 2 leaves a disk of 60 degrees around the wall's normal.
     let wall = quad(
         [-90.0, -90.0, 1.0],
         [90.0, -90.0, 1.0],
@@ -393,7 +401,7 @@ fn cones_and_distances_limit_the_view() {
 }
 
 #[test]
-fn shares_of_boxes() {
+fn sees_computes_shares_of_boxes() {
     // A wall hides the lower half of a box's front.
     let wall = quad(
         [-9.0, -9.0, 1.0],
@@ -419,19 +427,20 @@ fn shares_of_boxes() {
     assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 3.0]) - 0.5).abs() < 1e-12);
     assert_eq!(share([-1.0, -3.0, 2.0], [1.0, -1.0, 3.0]), 0.0);
     assert_eq!(share([-1.0, 1.0, 2.0], [1.0, 2.0, 3.0]), 1.0);
-    // In front of the wall, around the point, without thickness.
+    // One box is in front of the wall, one is around the point, and one has no thickness.
     assert_eq!(share([-1.0, -1.0, 0.5], [1.0, 1.0, 0.75]), 1.0);
     assert_eq!(share([-1.0, -1.0, -0.5], [1.0, 1.0, 0.75]), 1.0);
     assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 2.0]) - 0.5).abs() < 1e-12);
-    // A box that its wall cuts through.
+    // The wall cuts through this box.
     assert!((share([-1.0, -2.0, 0.5], [1.0, 1.0, 3.0]) - 1.0).abs() < 1e-12);
 }
 
-/// Times of a scene that the environment names: `TETRA_SCENE=F cargo test -p sightline-tetra --test look --
-/// --ignored --nocapture`.
+/// Prints the times of the scene whose path is in `TETRA_SCENE`.
+///
+/// Run `TETRA_SCENE=F cargo test -p sightline-tetra --test look -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement"]
-fn times() {
+fn print_times() {
     let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap()))
         .unwrap();
     let surfaces = Surfaces::new(&scene).unwrap();

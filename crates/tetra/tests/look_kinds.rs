@@ -1,5 +1,7 @@
-//! Sets from points among see-through, occluder-only and moving triangles, within cones and distances, and of
-//! boxes: by both engines, and against rays.
+//! Tests of sets from points in scenes with see-through, occluder-only and moving triangles.
+//!
+//! The tests limit views by cones and distances, compute shares of boxes, and compare both engines with each
+//! other and with rays.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
@@ -10,23 +12,23 @@ mod meshes;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_numbers::random::SplitMix64;
-use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
+use sightline_scene::{Kinds, Object, Scene, SurfaceKind, Triangle};
 use sightline_tetra::file::write;
-use sightline_tetra::{Engine, Mode, Quiet, Scratch, Seen, Target, Tets, View, build};
+use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, VisibleTriangles, build};
 
 use meshes::{few_points, sheets};
 
 type T = [[f32; 3]; 3];
 
-const KINDS: [Kind; 5] = [
-    Kind::Opaque,
-    Kind::Opaque,
-    Kind::SeeThrough,
-    Kind::OccluderOnly,
-    Kind::Moving,
+const KINDS: [SurfaceKind; 5] = [
+    SurfaceKind::Opaque,
+    SurfaceKind::Opaque,
+    SurfaceKind::SeeThrough,
+    SurfaceKind::OccluderOnly,
+    SurfaceKind::Moving,
 ];
 
-fn tets(triangles: &[(T, Kind)]) -> Tets {
+fn tets(triangles: &[(T, SurfaceKind)]) -> Tets {
     let count = triangles.len() as u32;
     let object = Object {
         name: "all".into(),
@@ -52,7 +54,7 @@ fn tets(triangles: &[(T, Kind)]) -> Tets {
     Tets::from_bytes(&file).unwrap()
 }
 
-fn look(tets: &Tets, x: [f64; 3], view: &View, engine: Engine) -> Seen {
+fn look(tets: &Tets, x: [f64; 3], view: &View, engine: Engine) -> VisibleTriangles {
     let view = View {
         engine,
         witnesses: true,
@@ -63,15 +65,17 @@ fn look(tets: &Tets, x: [f64; 3], view: &View, engine: Engine) -> Seen {
         .clone()
 }
 
-/// The triangles that a ray shows: those that it passes, and the first that blocks, several where they are in
-/// one plane. Nothing where it passes near the border of a triangle or where planes are near each other.
-fn shown(triangles: &[(T, Kind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
+/// Returns the triangles that a ray shows: the triangles that it passes, and the first that blocks.
+///
+/// If several blocking triangles are in one plane, all of them are returned. Returns `None` if the ray passes
+/// near the border of a triangle, or if planes are near each other.
+fn shown(triangles: &[(T, SurfaceKind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
     let mut hits: Vec<(f64, u32)> = Vec::new();
     for (id, (t, kind)) in (0..).zip(triangles) {
         let [a, b, c] = t.map(|p| DVec3::from(p.map(f64::from)) - x);
         let normal = (b - a).cross(c - a);
         let height = a.dot(normal);
-        if normal.length() == 0.0 || height.abs() < 1e-12 || *kind == Kind::Moving {
+        if normal.length() == 0.0 || height.abs() < 1e-12 || *kind == SurfaceKind::Moving {
             continue;
         }
         let turns = [a.cross(b), b.cross(c), c.cross(a)].map(|n| n.dot(way) * height.signum());
@@ -82,19 +86,19 @@ fn shown(triangles: &[(T, Kind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
             hits.push((height / normal.dot(way), id));
         }
     }
-    let blocks = |id: u32| triangles[id as usize].1 != Kind::SeeThrough;
+    let blocks = |id: u32| triangles[id as usize].1 != SurfaceKind::SeeThrough;
     let end = hits
         .iter()
         .filter(|h| blocks(h.1))
         .map(|h| h.0)
         .fold(f64::INFINITY, f64::min);
     let ends_there = |h: &(f64, u32)| h.0 <= end * (1.0 + 1e-12);
-    // See-through triangles in the plane of the end are shown or not: no ray tells.
+    // A ray cannot decide if see-through triangles in the plane of the end are shown.
     let near = |h: &(f64, u32)| !blocks(h.1) && (h.0 / end - 1.0).abs() < 1e-9;
     if hits.iter().any(near) {
         return None;
     }
-    let shows = |id: u32| triangles[id as usize].1 != Kind::OccluderOnly;
+    let shows = |id: u32| triangles[id as usize].1 != SurfaceKind::OccluderOnly;
     Some(
         hits.iter()
             .filter(|h| ends_there(h) && shows(h.1))
@@ -104,18 +108,18 @@ fn shown(triangles: &[(T, Kind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
 }
 
 fn way(k: u32, n: u32) -> DVec3 {
-    // A spiral over the sphere.
+    // The directions form a spiral over the sphere.
     let z = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(n);
     let turn = f64::from(k) * 2.399_963_229_728_653;
     let r = (1.0 - z * z).sqrt();
     DVec3::new(r * libm::cos(turn), r * libm::sin(turn), z)
 }
 
-fn total(seen: &Seen) -> f64 {
+fn total(seen: &VisibleTriangles) -> f64 {
     seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen + seen.dropped
 }
 
-fn alike(a: &Seen, b: &Seen) -> Result<(), TestCaseError> {
+fn alike(a: &VisibleTriangles, b: &VisibleTriangles) -> Result<(), TestCaseError> {
     prop_assert_eq!(&a.visible, &b.visible);
     for (x, y) in a
         .areas
@@ -128,14 +132,26 @@ fn alike(a: &Seen, b: &Seen) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-fn check(
-    triangles: &[(T, Kind)],
-    x: [f64; 3],
+/// The limits of a view: a round cone and a distance.
+#[derive(Clone, Debug)]
+struct ViewLimits {
     direction: [f64; 3],
+    /// The angle of the cone, in radians.
     angle: f64,
     distance: f64,
+}
+
+fn check(
+    triangles: &[(T, SurfaceKind)],
+    x: [f64; 3],
+    limits: &ViewLimits,
     rays: bool,
 ) -> Result<(), TestCaseError> {
+    let ViewLimits {
+        direction,
+        angle,
+        distance,
+    } = *limits;
     let tets = tets(triangles);
     let both =
         |view: &View| [Engine::Boxes, Engine::Cells].map(|engine| look(&tets, x, view, engine));
@@ -149,7 +165,7 @@ fn check(
         }
     }
     for ((id, area), witness) in all.visible.iter().zip(&all.areas).zip(&all.witnesses) {
-        prop_assert!(triangles[*id as usize].1 == Kind::Opaque || *area == 0.0);
+        prop_assert!(triangles[*id as usize].1 == SurfaceKind::Opaque || *area == 0.0);
         if let Some(shown) = witness
             .filter(|_| rays)
             .and_then(|w| shown(triangles, at, DVec3::from(w).normalize()))
@@ -162,7 +178,8 @@ fn check(
             );
         }
     }
-    // The limits are rounded: what is in the view by less than that may be in one set and not in the other.
+    // The limits are rounded, so the sets may differ by triangles that are in the view by less than the
+    // rounding.
     let limited = [
         View {
             direction: Some(direction),
@@ -243,85 +260,92 @@ fn check(
     Ok(())
 }
 
-fn kind() -> impl Strategy<Value = Kind> {
+fn kind() -> impl Strategy<Value = SurfaceKind> {
     (0..KINDS.len()).prop_map(|k| KINDS[k])
 }
 
-fn limits() -> impl Strategy<Value = ([f64; 3], f64, f64)> {
+fn limits() -> impl Strategy<Value = ViewLimits> {
     let direction = prop::array::uniform3(-1.0..1.0f64).prop_filter("of some length", |d| {
         d.iter().map(|c| c * c).sum::<f64>() > 0.01
     });
-    (direction, 0.1..6.2f64, 0.3..8.0f64)
+    (direction, 0.1..6.2f64, 0.3..8.0f64).prop_map(|(direction, angle, distance)| ViewLimits {
+        direction,
+        angle,
+        distance,
+    })
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
-    fn kinds_on_a_lattice_are_seen_alike(
+    fn engines_agree_on_lattices_of_kinds(
         all in prop::collection::vec((prop::array::uniform3(prop::array::uniform3(-3..=3i8)), kind()), 1..20),
         x in prop::array::uniform3(-9..=9i8),
-        (direction, angle, distance) in limits(),
+        limits in limits(),
     ) {
-        let all: Vec<(T, Kind)> =
+        let all: Vec<(T, SurfaceKind)> =
             all.into_iter().map(|(t, kind)| (t.map(|p| p.map(f32::from)), kind)).collect();
-        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance, true)?;
+        check(&all, x.map(|c| f64::from(c) / 2.0), &limits, true)?;
     }
 
     #[test]
-    fn scattered_kinds_are_seen_alike(
+    fn engines_agree_on_scattered_kinds(
         all in prop::collection::vec(
             (prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)), kind()), 1..20,
         ),
         x in prop::array::uniform3(-5.0..5.0f64),
-        (direction, angle, distance) in limits(),
+        limits in limits(),
     ) {
-        check(&all, x, direction, angle, distance, true)?;
+        check(&all, x, &limits, true)?;
     }
 
     #[test]
-    fn meshes_of_kinds_are_seen_alike(
+    fn engines_agree_on_meshes_of_kinds(
         all in prop_oneof![few_points(), sheets()],
         kinds in prop::collection::vec(kind(), 1..12),
         x in prop::array::uniform3(-9..=9i8),
-        (direction, angle, distance) in limits(),
+        limits in limits(),
     ) {
-        let all: Vec<(T, Kind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
-        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance, true)?;
+        let all: Vec<(T, SurfaceKind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
+        check(&all, x.map(|c| f64::from(c) / 2.0), &limits, true)?;
     }
 
-    /// Near a triangle's plane beams are thinner than rounding, and rays in doubles do not tell which side
-    /// the point is on.
+    /// Looks from viewpoints near a triangle's plane.
+    ///
+    /// Beams are thinner than rounding there, and rays in doubles do not decide on which side the point is.
     #[test]
-    fn kinds_are_seen_alike_from_places_that_are_nearly_in_triangles(
+    fn engines_agree_from_viewpoints_near_triangles(
         all in prop_oneof![few_points(), sheets()],
         kinds in prop::collection::vec(kind(), 1..12),
-        (at, weights, push) in (any::<u16>(), prop::array::uniform3(0.05..1.0f64), -1e-9..1e-9f64),
-        (direction, angle, distance) in limits(),
+        at in any::<u16>(),
+        weights in prop::array::uniform3(0.05..1.0f64),
+        push in -1e-9..1e-9f64,
+        limits in limits(),
     ) {
-        let all: Vec<(T, Kind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
+        let all: Vec<(T, SurfaceKind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
         prop_assume!(!all.is_empty());
         let [a, b, c] = all[usize::from(at) % all.len()].0.map(|p| DVec3::from(p.map(f64::from)));
         let sum: f64 = weights.iter().sum();
         let x = (a * weights[0] + b * weights[1] + c * weights[2]) / sum;
-        // Most often by rounding alone.
+        // If `push` is positive, the viewpoint is off the plane only by rounding.
         let x = if push > 0.0 { x } else { x + DVec3::splat(push) };
-        check(&all, x.to_array(), direction, angle, distance, false)?;
+        check(&all, x.to_array(), &limits, false)?;
     }
 }
 
 #[test]
-fn the_engine_with_less_to_do_answers() {
-    // Triangles around one edge, like the pages of a book.
+fn faster_selects_engine_with_less_work() {
+    // The triangles share one edge, like the pages of a book.
     let page = |k: u32| {
         let angle = f64::from(k) * PI / 60.0;
         let (x, y) = (libm::cos(angle) as f32, libm::sin(angle) as f32);
         (
             [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [x, y, 0.0]],
-            Kind::Opaque,
+            SurfaceKind::Opaque,
         )
     };
-    let book: Vec<(T, Kind)> = (0..60).map(page).collect();
+    let book: Vec<(T, SurfaceKind)> = (0..60).map(page).collect();
     let tets = tets(&book);
     let mut scratch = Scratch::default();
     let x = [0.3, 3.0, 0.1];
@@ -336,15 +360,15 @@ fn the_engine_with_less_to_do_answers() {
             "{mode:?}"
         );
     }
-    // Among large triangles that cross little is seen, and all boxes overlap.
+    // Among large triangles that cross, few triangles are visible, and all boxes overlap.
     let mut random = SplitMix64::new(1);
     let mut place = |size: f32| [0.0f32; 3].map(|_| size * (random.unit_f32() - 0.5));
-    let crossing: Vec<(T, Kind)> = (0..100)
-        .map(|_| ([0; 3].map(|_| place(9.0)), Kind::Opaque))
+    let crossing: Vec<(T, SurfaceKind)> = (0..100)
+        .map(|_| ([0; 3].map(|_| place(9.0)), SurfaceKind::Opaque))
         .collect();
     let found = self::tets(&crossing).faster([0.1; 3], &View::default(), Mode::Exact, &mut scratch);
     assert_eq!(found, Ok(Engine::Cells));
-    // What is given up leaves nothing behind, whatever is asked next.
+    // A search that was stopped does not affect any later query.
     let given_up = || {
         let mut scratch = Scratch::default();
         assert_eq!(
@@ -383,12 +407,12 @@ fn the_engine_with_less_to_do_answers() {
 }
 
 #[test]
-fn a_wide_cone_and_a_distance_that_have_nothing_in_common_show_nothing() {
-    // The cone leaves what is more than 1 away from the axis in the triangle's plane, the distance what is
-    // nearer to it.
+fn disjoint_cone_and_distance_show_no_triangle() {
+    // In the triangle's plane, the view's cone contains only points farther than 1 from the axis. A distance
+    // of at most √2 limits the view to points nearer to the axis.
     let wall = tets(&[(
         [[-10.0, -10.0, 1.0], [10.0, -10.0, 1.0], [0.0, 15.0, 1.0]],
-        Kind::Opaque,
+        SurfaceKind::Opaque,
     )]);
     for (distance, seen) in [(1.2, false), (1.4, false), (1.42, true), (3.0, true)] {
         let direction = Some([0.0, 0.0, -1.0]);
@@ -423,7 +447,7 @@ fn a_wide_cone_and_a_distance_that_have_nothing_in_common_show_nothing() {
             distance,
             ..View::default()
         };
-        let one = tets(&[(triangle, Kind::Opaque)]);
+        let one = tets(&[(triangle, SurfaceKind::Opaque)]);
         let [boxes, cells] =
             [Engine::Boxes, Engine::Cells].map(|engine| look(&one, [0.0; 3], &view, engine));
         assert_eq!(boxes.visible, cells.visible, "{case}");

@@ -1,5 +1,6 @@
-//! Sets from points in random scenes: against rays, against themselves in another order, and of the modes
-//! against each other.
+//! Tests of sets from points in random scenes.
+//!
+//! The sets are compared with rays, with other triangle orders, and between modes.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
 
@@ -12,7 +13,9 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_tetra::check::check as check_cells;
-use sightline_tetra::look::{Engine, Looker, Mode, Node, Scratch, Seen, Target, View};
+use sightline_tetra::point_query::{
+    BvhNode, Engine, Looker, Mode, Scratch, Target, View, VisibleTriangles,
+};
 use sightline_tetra::{Built, Quiet, build};
 
 use meshes::{few_points, sheets};
@@ -43,11 +46,11 @@ impl World {
         )
     }
 
-    fn look(&self, x: [f64; 3], mode: Mode) -> Seen {
+    fn look(&self, x: [f64; 3], mode: Mode) -> VisibleTriangles {
         self.look_by(Engine::Boxes, x, mode)
     }
 
-    fn look_by(&self, engine: Engine, x: [f64; 3], mode: Mode) -> Seen {
+    fn look_by(&self, engine: Engine, x: [f64; 3], mode: Mode) -> VisibleTriangles {
         let view = View {
             witnesses: true,
             engine,
@@ -70,7 +73,7 @@ impl World {
     }
 }
 
-/// Triangles on a coarse lattice, where edges, planes and corners coincide all the time.
+/// Generates triangles on a coarse lattice, on which edges, planes and corners often coincide.
 fn lattice() -> impl Strategy<Value = Vec<T>> {
     prop::collection::vec(
         prop::array::uniform3(prop::array::uniform3(-3..=3i8)),
@@ -83,7 +86,7 @@ fn lattice() -> impl Strategy<Value = Vec<T>> {
     })
 }
 
-/// Many small triangles, so that boxes are left out.
+/// Generates many small triangles, so that beams exclude boxes.
 fn crowd() -> impl Strategy<Value = Vec<T>> {
     let small = (
         prop::array::uniform3(-6..=6i8),
@@ -97,7 +100,7 @@ fn crowd() -> impl Strategy<Value = Vec<T>> {
     })
 }
 
-/// Triangles anywhere.
+/// Generates triangles at any position.
 fn scattered() -> impl Strategy<Value = Vec<T>> {
     prop::collection::vec(
         prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)),
@@ -105,7 +108,7 @@ fn scattered() -> impl Strategy<Value = Vec<T>> {
     )
 }
 
-/// Points on the lattice's halves and anywhere.
+/// Generates points on the half units of the lattice, and at any position.
 fn point() -> impl Strategy<Value = [f64; 3]> {
     prop_oneof![
         prop::array::uniform3(-9..=9i8).prop_map(|p| p.map(|c| f64::from(c) / 2.0)),
@@ -113,8 +116,9 @@ fn point() -> impl Strategy<Value = [f64; 3]> {
     ]
 }
 
-/// The triangles that a ray meets first, several where they are in one plane; nothing where it passes near
-/// the border of a triangle.
+/// Returns the triangles that a ray meets first; several if they are in one plane.
+///
+/// Returns `None` if the ray passes near the border of a triangle.
 fn first(triangles: &[T], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
     let mut hits: Vec<(f64, u32)> = Vec::new();
     for (id, t) in (0..).zip(triangles) {
@@ -142,7 +146,7 @@ fn first(triangles: &[T], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
 }
 
 fn way(k: u32, n: u32) -> DVec3 {
-    // A spiral over the sphere.
+    // The directions form a spiral over the sphere.
     let z = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(n);
     let turn = f64::from(k) * 2.399_963_229_728_653;
     let r = (1.0 - z * z).sqrt();
@@ -187,7 +191,7 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     for (a, b) in exact.areas.iter().zip(&cells.areas) {
         prop_assert!((a - b).abs() < 1e-11, "{} and {}", a, b);
     }
-    // The order of the triangles decides the ids alone.
+    // The order of the triangles affects only their ids.
     let turned: Vec<T> = triangles.iter().rev().copied().collect();
     let last = triangles.len() as u32 - 1;
     let mut other: Vec<u32> = World::new(&turned)
@@ -219,7 +223,8 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     prop_assert!(world.sees(x, &target, Mode::Aggressive(0.1)) <= share + 1e-12);
     let fraction = share_of_rays(triangles, at, &target);
     if let Some((part, of)) = fraction {
-        // Five standard deviations of so many rays, which are spread better than at random.
+        // The tolerance is five standard deviations for this number of rays, which are spread more evenly
+        // than at random.
         let spread = 5.0 * (0.25 / f64::from(of)).sqrt();
         prop_assert!(
             (f64::from(part) / f64::from(of) - share).abs() < spread,
@@ -232,7 +237,7 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Of the rays that meet a box, how many meet nothing before it.
+/// Returns the number of rays that reach a box first, and of all rays that meet the box.
 fn share_of_rays(triangles: &[T], x: DVec3, target: &Target) -> Option<(u32, u32)> {
     let (low, high) = (DVec3::from(target.low), DVec3::from(target.high));
     if x.cmpge(low).all() && x.cmple(high).all() {
@@ -265,35 +270,35 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
-    fn sets_on_a_lattice_agree_with_rays_and_orders(triangles in lattice(), x in point()) {
+    fn lattice_sets_agree_with_rays_and_orders(triangles in lattice(), x in point()) {
         check(&triangles, x)?;
     }
 
     #[test]
-    fn sets_of_scattered_triangles_agree_with_rays_and_orders(triangles in scattered(), x in point()) {
+    fn scattered_sets_agree_with_rays_and_orders(triangles in scattered(), x in point()) {
         check(&triangles, x)?;
     }
 
     #[test]
-    fn sets_of_triangles_with_few_points_agree_with_rays_and_orders(triangles in few_points(), x in point()) {
+    fn few_point_sets_agree_with_rays_and_orders(triangles in few_points(), x in point()) {
         check(&triangles, x)?;
     }
 
     #[test]
-    fn sets_of_sheets_agree_with_rays_and_orders(triangles in sheets(), x in point()) {
+    fn sheet_sets_agree_with_rays_and_orders(triangles in sheets(), x in point()) {
         check(&triangles, x)?;
     }
 
     #[test]
-    fn boxes_that_are_left_out_hide_nothing(triangles in crowd(), x in point()) {
+    fn excluded_boxes_contain_no_visible_triangle(triangles in crowd(), x in point()) {
         let mut world = World::new(&triangles);
         let seen = world.look(x, Mode::Exact);
         let few = world.look(x, Mode::Conservative(0.05));
-        // All triangles in one box: none is left out.
+        // All triangles are in one box, so no box is excluded.
         let all = world.0.hierarchy.nodes.first().copied();
         if let Some(all) = all {
             let count = world.0.hierarchy.order.len() as u32;
-            world.0.hierarchy.nodes = vec![Node { first: 0, count, ..all }];
+            world.0.hierarchy.nodes = vec![BvhNode { first: 0, count, ..all }];
         }
         prop_assert_eq!(&seen.visible, &world.look(x, Mode::Exact).visible);
         prop_assert_eq!(&seen.visible, &world.look_by(Engine::Cells, x, Mode::Exact).visible);
@@ -303,7 +308,7 @@ proptest! {
     }
 
     #[test]
-    fn scaling_by_a_power_of_two_changes_nothing(triangles in lattice(), x in point(), power in -90..90i32) {
+    fn scaling_by_power_of_two_keeps_result(triangles in lattice(), x in point(), power in -90..90i32) {
         let by = f64::powi(2.0, power);
         let scaled: Vec<T> =
             triangles.iter().map(|t| t.map(|p| p.map(|c| (f64::from(c) * by) as f32))).collect();
@@ -315,7 +320,7 @@ proptest! {
 }
 
 #[test]
-fn a_speck_in_a_huge_box_is_seen() {
+fn speck_in_huge_box_is_visible() {
     let far = 1e7f32;
     let p = |k: usize| {
         [
@@ -335,10 +340,11 @@ fn a_speck_in_a_huge_box_is_seen() {
     assert!(seen.areas[2] > 0.0 && seen.areas[2] < 1e-12);
 }
 
-/// Points in, on and around the shapes that are hard to divide: in their middle, in planes and lines of their
-/// faces, and away from them.
+/// Looks at the shapes that are hard to divide from points in, on and around them.
+///
+/// The points are in the middle of a shape, in planes and lines of its faces, and away from it.
 #[test]
-fn hard_shapes_are_seen_alike() {
+fn engines_agree_on_hard_shapes() {
     for x in [
         [0.05, 0.0, 0.02],
         [0.5, 0.5, 0.5],

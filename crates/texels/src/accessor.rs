@@ -1,58 +1,63 @@
-//! Elements of accessors as bytes, whatever they mean, so that they can be copied without knowing them.
+//! The elements of accessors as bytes or numbers, independent of the attribute that they belong to.
 
 use serde_json::Value;
 
 use crate::TexelsError;
-use crate::file::{File, member};
+use crate::file::{GltfParts, member};
 
-/// Component types (glTF 2.0, section 3.6.2.2).
+/// The glTF codes of component types (glTF 2.0, section 3.6.2.2).
 pub(crate) const UNSIGNED_SHORT: u32 = 5123;
 pub(crate) const UNSIGNED_INT: u32 = 5125;
 pub(crate) const FLOAT: u32 = 5126;
 
-/// A checked accessor.
-pub(crate) struct Elements<'a> {
-    /// From the first element on; none means zeros.
+/// The elements of an accessor whose type and byte range were checked.
+pub(crate) struct CheckedElements<'a> {
+    /// The bytes from the first element on. `None` means that all elements that `replaced` does not contain
+    /// are zero.
     base: Option<&'a [u8]>,
+    /// The distance between the starts of two consecutive elements in `base`, in bytes.
     stride: usize,
-    /// Bytes of an element.
+    /// The number of bytes of an element.
     pub size: usize,
-    /// Components of an element.
+    /// The number of components of an element.
     pub components: usize,
-    /// Number of elements.
+    /// The number of elements of the accessor.
     pub count: usize,
-    /// The type of a component.
+    /// The glTF code of the type of a component, such as [`FLOAT`].
     pub component: u32,
-    /// Whether integers stand for 0…1 or -1…1.
+    /// True if unsigned integers represent 0…1, and signed integers -1…1.
     pub normalized: bool,
-    /// Elements that replace those of the base, by increasing number.
+    /// The elements of the sparse part, as index and bytes, by increasing index. These elements
+    /// replace elements of `base`.
     replaced: Vec<(usize, &'a [u8])>,
 }
 
-impl<'a> Elements<'a> {
-    /// Accessor `number` of `file`.
-    pub(crate) fn read(file: &'a File, number: usize) -> Result<Self, TexelsError> {
+impl<'a> CheckedElements<'a> {
+    /// Reads the accessor with index `number` of `file`, and checks its type and byte range.
+    pub(crate) fn read(file: &'a GltfParts, number: usize) -> Result<Self, TexelsError> {
         let bad = |why: &str| file.broken(format!("accessor {number}"), why);
         let accessor = file
             .array("accessors")
             .get(number)
-            .ok_or_else(|| bad("there is no such accessor"))?;
+            .ok_or_else(|| bad("the file contains no such accessor"))?;
         let component = member(accessor, "componentType")
             .and_then(|c| u32::try_from(c).ok())
             .unwrap_or(0);
-        let width = width(component).ok_or_else(|| bad("its component type is unknown"))?;
+        let width = width(component).ok_or_else(|| bad("the componentType is unknown"))?;
         let shape = accessor
             .get("type")
             .and_then(Value::as_str)
             .unwrap_or_default();
         let (components, size) =
-            shape_size(shape, width).ok_or_else(|| bad("its type is unknown"))?;
-        let count = member(accessor, "count").ok_or_else(|| bad("it has no count"))?;
+            shape_size(shape, width).ok_or_else(|| bad("the type is unknown"))?;
+        let count = member(accessor, "count").ok_or_else(|| bad("the accessor has no count"))?;
         let offset = member(accessor, "byteOffset").unwrap_or(0);
         let mut stride = size;
         let base = match member(accessor, "bufferView") {
             None if count > file.size() => {
-                return Err(bad("it has more elements than the file has bytes"));
+                return Err(bad(
+                    "the count exceeds the number of bytes of the file's buffers",
+                ));
             }
             None => None,
             Some(v) => {
@@ -66,7 +71,7 @@ impl<'a> Elements<'a> {
                         .and_then(|l| l.checked_add(size)?.checked_add(offset)),
                 };
                 if stride < size || end.is_none_or(|e| e > bytes.len()) {
-                    return Err(bad("its elements reach beyond its buffer view"));
+                    return Err(bad("the elements exceed their buffer view"));
                 }
                 Some(&bytes[offset..])
             }
@@ -77,8 +82,9 @@ impl<'a> Elements<'a> {
             .unwrap_or(false);
         let replaced = match accessor.get("sparse") {
             None => Vec::new(),
-            Some(sparse) => replaced(file, sparse, size, count)
-                .ok_or_else(|| bad("its sparse part is damaged"))?,
+            Some(sparse) => replaced(file, sparse, size, count).ok_or_else(|| {
+                bad("the indices or values of `sparse` are missing, unordered or out of range")
+            })?,
         };
         Ok(Self {
             base,
@@ -92,7 +98,7 @@ impl<'a> Elements<'a> {
         })
     }
 
-    /// The bytes of element `i`; empty when it is zero.
+    /// Returns the bytes of element `i`. The result is empty if no bytes are stored, so all components are 0.
     pub(crate) fn get(&self, i: usize) -> &'a [u8] {
         if let Ok(at) = self.replaced.binary_search_by_key(&i, |r| r.0) {
             return self.replaced[at].1;
@@ -106,7 +112,8 @@ impl<'a> Elements<'a> {
             .unwrap_or_default()
     }
 
-    /// Component `c` of element `i` as a number.
+    /// Returns component `c` of element `i` as a number. Integers are scaled to 0…1 or -1…1 if the accessor
+    /// is normalized.
     pub(crate) fn number(&self, i: usize, c: usize) -> f64 {
         let most = match self.component {
             _ if !self.normalized => return self.raw(i, c),
@@ -119,7 +126,7 @@ impl<'a> Elements<'a> {
         (self.raw(i, c) / most).max(-1.0)
     }
 
-    /// Component `c` of element `i` as a number, whether or not it is normalised.
+    /// Returns component `c` of element `i` as the stored number, without scaling of normalized integers.
     pub(crate) fn raw(&self, i: usize, c: usize) -> f64 {
         let bytes = self.get(i);
         let at = c * width(self.component).unwrap_or(1);
@@ -134,7 +141,7 @@ impl<'a> Elements<'a> {
         }
     }
 
-    /// Element `i` as an index; none if it is no unsigned integer.
+    /// Returns element `i` as an index, or `None` if the components are not unsigned integers.
     pub(crate) fn index(&self, i: usize) -> Option<u32> {
         match (self.component, self.get(i)) {
             (_, []) => Some(0),
@@ -146,7 +153,7 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// Bytes of a component.
+/// Returns the number of bytes of a component, given the glTF code of its type.
 fn width(component: u32) -> Option<usize> {
     match component {
         5120 | 5121 => Some(1),
@@ -156,8 +163,8 @@ fn width(component: u32) -> Option<usize> {
     }
 }
 
-/// The number of components of an element and its bytes. Columns of matrices start at multiples of four
-/// bytes.
+/// Returns the number of components and the number of bytes of an element, given the accessor type `shape`,
+/// such as `VEC3`, and the bytes per component. Columns of matrices start at multiples of four bytes.
 fn shape_size(shape: &str, width: usize) -> Option<(usize, usize)> {
     let matrix = |n: usize| (n * n, n * (n * width).next_multiple_of(4));
     Some(match shape {
@@ -172,9 +179,10 @@ fn shape_size(shape: &str, width: usize) -> Option<(usize, usize)> {
     })
 }
 
-/// The elements of a sparse part; none if it is damaged.
+/// Returns the index and bytes of each element of the sparse part of an accessor. The accessor has `count`
+/// elements of `size` bytes. Returns `None` if the part is damaged.
 fn replaced<'a>(
-    file: &'a File,
+    file: &'a GltfParts,
     sparse: &Value,
     size: usize,
     count: usize,

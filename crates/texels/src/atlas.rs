@@ -1,51 +1,52 @@
-//! Where each triangle of the scene is in the image, and how that gets into the file.
+//! The positions of the scene's triangles in the image, and the changes of the primitives' texture
+//! coordinates.
 
-use crate::overlap::Flat;
+use crate::overlap::FlatTriangle;
 
-/// The image's size, the triangles in it, and what becomes of the texture coordinates of the parts.
+/// The layout of the image: its size, the triangles in the image, and the changes of texture coordinates.
 #[derive(Clone, Debug)]
 pub(crate) struct Atlas {
-    /// Texels across and down.
+    /// The width and height in texels.
     pub size: [u32; 2],
     /// The corners of each triangle of the scene in texels, from the upper left corner of the image.
-    pub triangles: Vec<Flat>,
-    /// What becomes of the texture coordinates of each part.
-    pub layouts: Vec<Layout>,
-    /// Number of charts of new coordinates.
+    pub triangles: Vec<FlatTriangle>,
+    /// The change of the texture coordinates of each primitive, in the order of `PrimitiveInstances::all`.
+    pub layouts: Vec<AtlasLayout>,
+    /// The number of charts of new coordinates, or 0 if `TEXCOORD_1` is used.
     pub charts: u32,
-    /// Empty texels around each chart or part that was given a place.
+    /// The number of empty texels around each packed chart or primitive, or 0 if nothing was packed.
     pub gap: u32,
 }
 
-/// What becomes of the texture coordinates of a part.
+/// The change of the texture coordinates of a primitive.
 #[derive(Clone, Debug)]
-pub(crate) enum Layout {
-    /// `TEXCOORD_1` is as it was.
+pub(crate) enum AtlasLayout {
+    /// Unchanged `TEXCOORD_1`.
     Kept,
-    /// `TEXCOORD_1` times a factor, plus an offset, so that parts do not lie upon each other.
+    /// `TEXCOORD_1` times a factor, plus an offset, so that primitives do not overlap in the image.
     Moved {
-        /// The factors.
+        /// The factors for u and v.
         scale: [f64; 2],
-        /// The offsets.
+        /// The offsets for u and v.
         offset: [f64; 2],
     },
-    /// New coordinates for new vertices.
+    /// New coordinates for copied vertices.
     New {
-        /// For each vertex the one it is a copy of, and its coordinates.
+        /// For each new vertex, the index of the vertex that it copies, and its coordinates from 0 to 1.
         vertices: Vec<(u32, [f32; 2])>,
-        /// The vertices of each triangle.
+        /// The corners of each triangle, as indices into `vertices`.
         corners: Vec<[u32; 3]>,
     },
 }
 
-impl Layout {
-    /// Coordinates moved as this layout says.
+impl AtlasLayout {
+    /// Returns the coordinates `uv` times `scale` plus `offset`, clamped to 0…1.
     pub(crate) fn moved(scale: [f64; 2], offset: [f64; 2], uv: [f64; 2]) -> [f32; 2] {
         [0, 1].map(|k| (uv[k] * scale[k] + offset[k]).clamp(0.0, 1.0) as f32)
     }
 }
 
-/// Texture coordinates in texels.
+/// Converts texture coordinates from 0 to 1 to a position in an image of `size` texels, in texels.
 pub(crate) fn in_texels(uv: [f32; 2], size: [u32; 2]) -> [f64; 2] {
     [0, 1].map(|k| f64::from(uv[k]) * f64::from(size[k]))
 }

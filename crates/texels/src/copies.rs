@@ -1,18 +1,24 @@
-//! Meshes that several nodes have get a copy for each node, since values differ from node to node.
+//! Copies of meshes that several nodes use. Each node gets a separate copy, because values differ between
+//! nodes.
 
 use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
 use crate::TexelsError;
-use crate::file::{File, member};
+use crate::file::{GltfParts, member};
 use crate::instances::{expand, undeclare};
-use crate::parts::Parts;
+use crate::parts::PrimitiveInstances;
 
-/// Gives each draw that has triangles a mesh of its own, and returns the mesh of each draw. The first node
-/// keeps the mesh that it has, unless nodes that are not drawn have it, too. Accessors are shared by the
-/// copies.
-pub(crate) fn separate(file: &mut File, parts: &Parts) -> Result<Vec<usize>, TexelsError> {
+/// Gives each mesh instance with triangles a separate mesh. Returns the index of the mesh of each instance,
+/// in the order of `parts.draws`.
+///
+/// The first instance of a mesh keeps the mesh, unless a node outside the scene also uses the mesh. The other
+/// instances get copies, which share the accessors of the mesh.
+pub(crate) fn separate(
+    file: &mut GltfParts,
+    parts: &PrimitiveInstances,
+) -> Result<Vec<usize>, TexelsError> {
     let mut with_triangles = vec![false; parts.draws.len()];
     for part in &parts.all {
         with_triangles[part.draw] = true;

@@ -1,133 +1,134 @@
-//! Why values cannot be put into a file. Each error names the element at fault, the reason and a remedy.
+//! The errors of this crate. Each names the element at fault, the reason and a remedy.
 
-/// Largest side of an image, in texels.
+/// Maximum side of an image, in texels.
 pub(crate) const MOST_SIDE: u32 = 16384;
-/// Most receivers of a plan.
+/// Maximum number of receivers of a plan.
 ///
-/// A job takes no more: 52 bytes each in at most 2 GiB (`docs/formats/ambient.md`).
+/// A job accepts no more receivers: 52 bytes each in at most 2 GiB (`docs/formats/ambient.md`).
 pub(crate) const MOST_RECEIVERS: usize = 40_000_000;
 
-/// Why values cannot be put into a file.
+/// The reason why values cannot be added to a file.
 #[derive(Debug, thiserror::Error)]
 pub enum TexelsError {
-    /// The file violates glTF.
+    /// A file that violates the glTF specification.
     #[error("{file}: {element}: {reason}; export the file again from the program that made it")]
     Broken {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
         /// The element at fault, such as `accessor 3`.
         element: String,
-        /// The fault.
+        /// The fault of the element.
         reason: String,
     },
-    /// A file that belongs to it cannot be read.
+    /// An unreadable file that the glTF file references.
     #[error(transparent)]
     Beside(#[from] sightline_scene::SceneError),
-    /// The geometry is compressed.
+    /// Compressed geometry.
     #[error(
-        "{file}: {element}: it has {extension}, a compression that cannot be written; export without it"
+        "{file}: {element}: data compressed with {extension} cannot be written; export it uncompressed"
     )]
     Compressed {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
-        /// The compressed element.
+        /// The compressed element, such as `buffer view 3`.
         element: String,
-        /// The extension of glTF.
+        /// The name of the glTF extension.
         extension: &'static str,
     },
-    /// The scene is not that of the file.
+    /// A scene that does not belong to the file.
     #[error("{file}: {element}: {reason}; load the scene from this file again")]
     OtherScene {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
-        /// The element at fault.
+        /// The element whose triangles differ.
         element: String,
-        /// The difference.
+        /// The difference between scene and file.
         reason: String,
     },
-    /// Nothing has an area.
-    #[error("{file}: none of its triangles has an area; export meshes that have surfaces")]
+    /// A file without any triangle that has an area.
+    #[error("{file}: no triangle has an area; export meshes that have surfaces")]
     NoTriangles {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
     },
-    /// Texture coordinates that the user wants to keep are missing or cannot be used.
+    /// Missing or unusable texture coordinates that the user wants to keep.
     #[error(
-        "{file}: {element}: {reason}; repair TEXCOORD_1, or leave out --uv keep to get new coordinates"
+        "{file}: {element}: {reason}; repair TEXCOORD_1, or omit --uv keep to get new coordinates"
     )]
     NotUsable {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
-        /// The primitive, and the triangles where they are at fault.
+        /// The primitive, and the indices of its triangles if triangles are at fault.
         element: String,
-        /// The fault.
+        /// The fault of the texture coordinates.
         reason: String,
     },
-    /// The image would be too large.
+    /// An image that is too large.
     #[error(
-        "{file}: with texels of this size it takes {texels:.3e} texels, and 16384 x 16384 are the most; give \
-         a larger --texel, or --resolution"
+        "{file}: the surface needs about {texels:.3e} texels, but an image has at most \
+         16384 x 16384; use a larger --texel, or use --resolution"
     )]
     TooManyTexels {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
-        /// How many texels it would take, about.
+        /// The approximate number of texels that the surface needs, without gaps between charts.
         texels: f64,
     },
-    /// There would be too many receivers.
+    /// A plan with too many receivers for a texture, or with too many vertices.
     #[error(
-        "{file}: it takes more than 40000000 points of the surface; give a larger --texel or a smaller \
-         --resolution, or split the file"
+        "{file}: more than 40000000 surface points or 268435456 vertices need a value; use a larger \
+         --texel or a smaller --resolution, or split the file"
     )]
     TooManyPoints {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
     },
-    /// The charts do not fit into the image.
+    /// Charts that do not fit into the image.
     #[error(
-        "{file}: its {charts} charts, with gaps between them, do not fit into {side} x {side} texels; give a \
-         larger --resolution, or --texel"
+        "{file}: {charts} charts, with gaps between them, do not fit into {side} x {side} texels; use a \
+         larger --resolution, or use --texel"
     )]
     TooManyCharts {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
-        /// How many charts there are.
+        /// The number of charts.
         charts: u32,
-        /// The side of the image.
+        /// The side of the image in texels.
         side: u32,
     },
-    /// A choice of the user is out of its range.
+    /// A setting that is out of its range.
     #[error("{option} is {value}: {rule}")]
     Setting {
-        /// The option.
+        /// The command-line option of the setting.
         option: &'static str,
-        /// What was given.
+        /// The value of the setting.
         value: String,
-        /// What it must be.
+        /// The range of valid values.
         rule: &'static str,
     },
-    /// The values are not those of the plan's receivers.
+    /// Values that do not match the plan's receivers.
     #[error(
-        "there are {values} values for {receivers} receivers; give one finite value from 0 to 1 for each"
+        "{values} usable values for {receivers} receivers; give each receiver one finite value \
+         from 0 to 1"
     )]
     Values {
-        /// How many usable values were given.
+        /// The number of given values that are finite and from 0 to 1, or whose receivers are inside solids.
         values: usize,
-        /// How many there must be.
+        /// The number of receivers.
         receivers: usize,
     },
-    /// A GLB counts its bytes in 32 bits.
+    /// A result that exceeds the 32-bit size of a GLB.
     #[error(
-        "{file}: the result takes more than the 4 GiB of a GLB; give a larger --texel or split it"
+        "{file}: the written GLB would exceed its limit of 4 GiB; use a larger --texel or split the file"
     )]
     TooLarge {
-        /// The file as the user named it.
+        /// The name of the file as the user gave it.
         file: String,
     },
-    /// The image cannot be encoded.
+    /// An image that cannot be encoded.
     #[error("the image cannot be encoded: {0}; report this with the scene")]
     Png(#[from] png::EncodingError),
-    /// The structure cannot be encoded.
+    /// A glTF structure that cannot be encoded.
     #[error("the glTF structure cannot be encoded: {0}; report this with the scene")]
     Json(#[from] serde_json::Error),
 }

@@ -1,6 +1,8 @@
-//! A glTF file as its JSON and the bytes of its buffers, and the GLB that holds all of it.
+//! A glTF file as its JSON and the bytes of its buffers, and its conversion to a GLB that contains
+//! everything.
 //!
-//! The JSON is kept as a whole, in its order, so that what this crate does not know stays as it was.
+//! The JSON is stored completely and in its order, so members that this crate does not interpret stay
+//! unchanged.
 
 use std::path::{Path, PathBuf};
 
@@ -10,29 +12,29 @@ use sightline_scene::load::uri_bytes;
 
 use crate::TexelsError;
 
-/// Compressions of buffer views.
+/// The extensions that compress buffer views.
 const COMPRESSED_VIEWS: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
-/// Bytes that a buffer view's start is a multiple of: the largest component of an accessor has four, and some
-/// extensions ask for eight.
+/// The alignment of a buffer view's start, in bytes. The largest component of an accessor has four bytes, and
+/// some extensions require eight.
 const ALIGNMENT: usize = 8;
 
-/// A file in its parts.
+/// A glTF file: its document and its buffers.
 #[derive(Clone, Debug)]
-pub(crate) struct File {
-    /// As the user named it.
+pub(crate) struct GltfParts {
+    /// The name of the file as the user gave it.
     pub name: String,
     /// The members of the document.
     pub root: Map<String, Value>,
     /// The bytes of the buffers.
     pub buffers: Vec<Vec<u8>>,
-    /// Chunks of a GLB after its binary one.
+    /// The chunks of a GLB other than its JSON and binary chunk, each as its type and data.
     others: Vec<([u8; 4], Vec<u8>)>,
-    /// Where files beside it are.
+    /// The folder that relative paths of the document start from, if the file has a folder.
     base: Option<PathBuf>,
 }
 
-impl File {
-    /// Reads a glTF or GLB file, and the buffers beside it. `base` is the folder of the file.
+impl GltfParts {
+    /// Reads a glTF or GLB file, and the buffer files that it references. `base` is the folder of the file.
     pub(crate) fn read(name: &str, bytes: &[u8], base: Option<&Path>) -> Result<Self, TexelsError> {
         let broken = |element: &str, reason: String| TexelsError::Broken {
             file: name.to_owned(),
@@ -70,7 +72,7 @@ impl File {
         Ok(file)
     }
 
-    /// An error about an element of this file.
+    /// Creates the error that an element of this file violates the glTF specification.
     pub(crate) fn broken(
         &self,
         element: impl Into<String>,
@@ -83,7 +85,7 @@ impl File {
         }
     }
 
-    /// The elements of an array of the document; none where there is no such array.
+    /// Returns the elements of an array of the document, or an empty slice if the array does not exist.
     pub(crate) fn array(&self, key: &str) -> &[Value] {
         self.root
             .get(key)
@@ -91,29 +93,30 @@ impl File {
             .map_or(&[], Vec::as_slice)
     }
 
-    /// The array of the document with this name, which is made if there is none.
+    /// Returns the array of the document with the name `key`. Creates an empty array if the document does not
+    /// have the array.
     pub(crate) fn array_mut(&mut self, key: &str) -> Result<&mut Vec<Value>, TexelsError> {
         let name = self.name.clone();
         let array = self.root.entry(key).or_insert_with(|| json!([]));
         array.as_array_mut().ok_or_else(|| TexelsError::Broken {
             file: name,
             element: key.to_owned(),
-            reason: "it is no array".to_owned(),
+            reason: "this member of the document must be an array".to_owned(),
         })
     }
 
-    /// Adds an element to an array of the document, and returns its number.
+    /// Adds an element to an array of the document, and returns the index of the element in the array.
     pub(crate) fn push(&mut self, key: &str, value: Value) -> Result<usize, TexelsError> {
         let array = self.array_mut(key)?;
         array.push(value);
         Ok(array.len() - 1)
     }
 
-    /// The bytes of buffer view `v`.
+    /// Returns the bytes of buffer view `v`.
     pub(crate) fn view(&self, v: usize) -> Result<&[u8], TexelsError> {
         let element = || format!("buffer view {v}");
         let view = self.array("bufferViews").get(v);
-        let view = view.ok_or_else(|| self.broken(element(), "there is no such buffer view"))?;
+        let view = view.ok_or_else(|| self.broken(element(), "the file contains no such view"))?;
         let number = |key: &str| view.get(key).and_then(Value::as_u64);
         let (offset, length) = (number("byteOffset").unwrap_or(0), number("byteLength"));
         let buffer = member(view, "buffer").and_then(|b| self.buffers.get(b));
@@ -121,15 +124,21 @@ impl File {
             Some(usize::try_from(offset).ok()?..usize::try_from(offset.checked_add(l)?).ok()?)
         });
         let bytes = buffer.zip(range).and_then(|(b, range)| b.get(range));
-        bytes.ok_or_else(|| self.broken(element(), "it reaches beyond its buffer"))
+        bytes.ok_or_else(|| {
+            self.broken(
+                element(),
+                "the view has no byteLength or exceeds its buffer",
+            )
+        })
     }
 
-    /// Bytes of all buffers, which bound what an accessor without bytes may stand for.
+    /// Returns the number of bytes of all buffers, which limits the element count of an accessor without a
+    /// buffer view.
     pub(crate) fn size(&self) -> usize {
         self.buffers.iter().map(Vec::len).sum()
     }
 
-    /// Adds bytes as a buffer view of the last buffer, and returns its number.
+    /// Adds bytes as a buffer view of the last buffer, and returns the index of the buffer view.
     pub(crate) fn add_view(
         &mut self,
         bytes: &[u8],
@@ -156,7 +165,7 @@ impl File {
         self.push("bufferViews", view)
     }
 
-    /// The file as a GLB with everything inside.
+    /// Converts the file to a GLB that contains all buffers and images.
     pub(crate) fn into_glb(mut self) -> Result<Vec<u8>, TexelsError> {
         self.embed_images()?;
         let mut binary = Vec::new();
@@ -181,7 +190,7 @@ impl File {
             }
         }
         if !starts.is_empty() {
-            // What else the first buffer has, such as its name, stays.
+            // Other members of the first buffer, such as its name, stay unchanged.
             let mut all = self
                 .array("buffers")
                 .first()
@@ -226,14 +235,15 @@ impl File {
         let element = format!("buffer {i}");
         let buffer = &self.array("buffers")[i];
         let length = buffer.get("byteLength").and_then(Value::as_u64);
-        let length = length.ok_or_else(|| self.broken(element.as_str(), "it has no byteLength"))?;
+        let length =
+            length.ok_or_else(|| self.broken(element.as_str(), "the buffer has no byteLength"))?;
         let mut bytes = match buffer.get("uri").and_then(Value::as_str) {
-            Some(uri) => uri_bytes((&self.name, &element), uri, self.base.as_deref(), length)?,
+            Some(uri) => uri_bytes(&self.name, &element, uri, self.base.as_deref(), length)?,
             None if i == 0 && binary.is_some() => binary.unwrap_or_default().to_vec(),
             None => {
                 return Err(self.broken(
                     element,
-                    "it has no uri and is not the binary chunk of a GLB",
+                    "the buffer has no uri and is not the binary chunk of a GLB",
                 ));
             }
         };
@@ -242,14 +252,14 @@ impl File {
             None => {
                 return Err(self.broken(
                     element,
-                    format!("{} bytes of {length} are there", bytes.len()),
+                    format!("only {} of its {length} bytes exist", bytes.len()),
                 ));
             }
         }
         Ok(bytes)
     }
 
-    /// Puts the images that are files of their own into buffer views.
+    /// Moves images from separate files into buffer views.
     fn embed_images(&mut self) -> Result<(), TexelsError> {
         for i in 0..self.array("images").len() {
             let image = &self.array("images")[i];
@@ -262,7 +272,8 @@ impl File {
             };
             let element = format!("image {i}");
             let bytes = uri_bytes(
-                (&self.name, &element),
+                &self.name,
+                &element,
                 uri,
                 self.base.as_deref(),
                 u64::from(u32::MAX),
@@ -282,12 +293,15 @@ impl File {
     }
 }
 
-/// A member of an object that is an index.
-pub(crate) fn member(of: &Value, key: &str) -> Option<usize> {
-    of.get(key)?.as_u64().and_then(|n| usize::try_from(n).ok())
+/// Returns the value of an object's member as an index, or `None` if the member is missing or not an index.
+pub(crate) fn member(object: &Value, key: &str) -> Option<usize> {
+    object
+        .get(key)?
+        .as_u64()
+        .and_then(|n| usize::try_from(n).ok())
 }
 
-/// The media type of an image.
+/// Returns the media type of an image, from the first bytes of the image or from the ending of `uri`.
 fn mime(uri: &str, bytes: &[u8]) -> String {
     let ending = uri
         .rsplit('.')

@@ -1,14 +1,15 @@
-//! Values for texels that have none: from their neighbours ring by ring, then from ever coarser images.
+//! The filling of texels without values: ring by ring from neighbouring texels, then from increasingly coarse
+//! images.
 //!
-//! Texels whose part of the surface is inside of closed solids are filled in the same way, so that no
-//! darkness of an inside comes through at the foot of a wall.
+//! Texels whose surface is inside closed solids are filled in the same way. So dark values from inside a
+//! solid do not show at the foot of a wall.
 
-use crate::image::{Image, State};
+use crate::image::{TexelImage, TexelState};
 
-/// Fills as many rings of texels around those that have values.
-pub(crate) fn rings(image: &mut Image, count: usize) {
+/// Fills `count` rings of texels around the texels that have values.
+pub(crate) fn rings(image: &mut TexelImage, count: usize) {
     let [width, height] = image.size;
-    let known = |s: State| matches!(s, State::Own | State::Filled);
+    let known = |s: TexelState| matches!(s, TexelState::Own | TexelState::Filled);
     let around = |at: usize| {
         let (x, y) = (at % width, at / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
@@ -20,13 +21,13 @@ pub(crate) fn rings(image: &mut Image, count: usize) {
         .filter(|at| !known(image.states[*at]) && around(*at).any(|n| known(image.states[n])))
         .collect();
     for _ in 0..count {
-        // All of a ring from what was known before it.
+        // Compute a whole ring from the values that existed before the ring.
         let values: Vec<f64> = front
             .iter()
             .map(|at| {
                 let (mut sum, mut weight) = (0.0, 0.0);
                 for n in around(*at).filter(|n| known(image.states[*n])) {
-                    // Neighbours across a corner count for less.
+                    // Diagonal neighbours have half the weight.
                     let w = if n % width == at % width || n / width == at / width {
                         1.0
                     } else {
@@ -40,7 +41,7 @@ pub(crate) fn rings(image: &mut Image, count: usize) {
             .collect();
         for (at, value) in front.iter().zip(values) {
             image.values[*at] = value;
-            image.states[*at] = State::Filled;
+            image.states[*at] = TexelState::Filled;
         }
         let mut next: Vec<usize> = front
             .iter()
@@ -53,19 +54,20 @@ pub(crate) fn rings(image: &mut Image, count: usize) {
     }
 }
 
-/// A size, and for each cell the sum of values and their number.
-type Level = ([usize; 2], Vec<(f64, f64)>);
+/// A coarse image: its width and height, and for each of its cells the sum and the number of known values.
+type FillLevel = ([usize; 2], Vec<(f64, f64)>);
 
-/// Fills all that is left: each texel takes the mean of the smallest square around it, of a power of two,
-/// that has values. Without any value all become 1.
-pub(crate) fn rest(image: &mut Image) {
-    let known = |s: State| matches!(s, State::Own | State::Filled);
-    // Sums and numbers of values; each level has half the side of the one before.
+/// Fills all remaining texels. Each texel gets the mean of the known values in a square around the texel: the
+/// smallest square of a coarse image, 2, 4, 8 … texels wide, that contains a known value. If no texel has a
+/// value, all texels become 1.
+pub(crate) fn rest(image: &mut TexelImage) {
+    let known = |s: TexelState| matches!(s, TexelState::Own | TexelState::Filled);
+    // The coarse images. Each has half the width and height of the previous image.
     let first = image.values.iter().zip(&image.states);
     let first = first
         .map(|(v, s)| if known(*s) { (*v, 1.0) } else { (0.0, 0.0) })
         .collect();
-    let mut levels: Vec<Level> = vec![(image.size, first)];
+    let mut levels: Vec<FillLevel> = vec![(image.size, first)];
     while let Some((size, below)) = levels.last().filter(|(size, _)| size[0] > 1 || size[1] > 1) {
         let half = size.map(|n| n.div_ceil(2));
         let mut level = vec![(0.0, 0.0); half[0] * half[1]];
@@ -88,7 +90,7 @@ pub(crate) fn rest(image: &mut Image) {
             .into_iter()
             .find(|c| c.1 > 0.0)
             .map_or(1.0, |c| c.0 / c.1);
-        image.states[at] = State::Filled;
+        image.states[at] = TexelState::Filled;
     }
 }
 
@@ -97,18 +99,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rings_grow_from_what_is_known() {
-        let mut image = Image::of(
+    fn rings_grow_from_known_texels() {
+        let mut image = TexelImage::from_samples(
             [9, 9],
             [(40, 1.0, 0.25, false), (41, 1.0, 0.0, true)].into_iter(),
         );
         assert_eq!(
-            (image.count(State::Own), image.count(State::Inside)),
+            (
+                image.count(TexelState::Own),
+                image.count(TexelState::Inside)
+            ),
             (1, 1)
         );
         rings(&mut image, 2);
         assert_eq!(
-            (image.count(State::Own), image.count(State::Filled)),
+            (
+                image.count(TexelState::Own),
+                image.count(TexelState::Filled)
+            ),
             (1, 24)
         );
         assert!(
@@ -116,11 +124,11 @@ mod tests {
                 .values
                 .iter()
                 .zip(&image.states)
-                .all(|(v, s)| *s == State::Empty || *v == 0.25)
+                .all(|(v, s)| *s == TexelState::Empty || *v == 0.25)
         );
         rest(&mut image);
         assert!(image.values.iter().all(|v| *v == 0.25));
-        let mut nothing = Image::of([3, 2], std::iter::empty());
+        let mut nothing = TexelImage::from_samples([3, 2], std::iter::empty());
         rings(&mut nothing, 4);
         rest(&mut nothing);
         assert_eq!(nothing.values, [1.0; 6]);

@@ -1,9 +1,10 @@
-//! Values at vertices whose interpolation is closest to the values inside of faces (Kavan, Bargteil and
-//! Sloan, "Least Squares Vertex Baking", 2011).
+//! Values at vertices whose interpolation is closest to the values inside faces (Kavan, Bargteil and Sloan,
+//! "Least Squares Vertex Baking", 2011).
 //!
-//! Least squares over the receivers, weighted by area, plus a small cost for what the gradient does at
-//! edges, which is nothing for a linear function on a plane. Where a triangle has no receiver that counts,
-//! its vertices are drawn together, so that they take the values of their neighbours.
+//! The fit minimises the squared differences at the receivers, weighted by area, plus a small cost for
+//! changes of the values' gradient at edges. The cost is 0 for a linear function on a plane. If all receivers
+//! of a triangle are ignored, a cost on the differences between the triangle's vertices gives them the values
+//! of their neighbours.
 
 use glam::DVec3;
 use sightline_scene::{Scene, Triangle};
@@ -12,28 +13,35 @@ use crate::solver::solve;
 use crate::vertices::{Unknowns, samples};
 use crate::welds::{Edge, cross, pairs};
 
-/// Cost of a change of the gradient at an edge.
+/// The weight of the squared change of the gradient across an edge, relative to the weight 1 of the squared
+/// errors at the receivers of a triangle of mean area. Edges of two triangles that together are smaller than
+/// a mean triangle have a weight in proportion to their area.
 const BEND: f64 = 1e-3;
-/// Cost of a difference along an edge of a triangle without receivers, by the mean area of triangles.
+/// The weight of the squared difference of the values at the ends of an edge, for a triangle whose receivers
+/// are all ignored. The weight is relative to the weight 1 of the squared errors at the receivers of a
+/// triangle of mean area.
 const DRAWN: f64 = 1e-3;
 
-/// A square of a sum of four unknowns with weights.
+/// A penalty of the fit: the square of a weighted sum of the unknown values at the four corners of two
+/// triangles that share an edge.
 struct Hinge {
     unknowns: [u32; 4],
     weights: [f64; 4],
 }
 
-/// The value of each unknown, from 0 to 1. `values` yields the value of each receiver, or none if it counts
-/// for nothing, in the order of [`Unknowns::receivers`].
+/// Computes the value of each unknown, from 0 to 1.
+///
+/// `values` contains the value of each receiver in the order of [`Unknowns::receivers`], or `None` for an
+/// ignored receiver.
 pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) -> Vec<f64> {
     let triangles = scene.triangles();
     let areas: Vec<f64> = triangles.iter().map(|t| 0.5 * cross(t).length()).collect();
     let mean_area = areas.iter().sum::<f64>() / areas.len().max(1) as f64;
     let mut b = vec![0.0; unknowns.count];
     let mut diagonal = vec![0.0; unknowns.count];
-    // The upper half of each triangle's own matrix: 00 11 22 01 12 20.
+    // The distinct entries of each triangle's symmetric 3 × 3 matrix, by row and column: 00 11 22 01 12 20.
     let mut matrices = vec![[0.0f64; 6]; triangles.len()];
-    // Unknowns are differences from the mean, which is what those are that no receiver reaches.
+    // The solver computes differences from the mean. An unknown without any receiver stays at the mean.
     let known = values.iter().flatten().count();
     let mean = if known == 0 {
         1.0
@@ -44,7 +52,7 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
     let mut drawn = Vec::new();
     for (t, corners) in unknowns.corners.iter().enumerate() {
         let k = unknowns.divisions[t];
-        // Areas in units of their mean, so that no scene is too small.
+        // Areas are multiples of the mean area, so that small scenes do not lose precision.
         let weight = areas[t] / mean_area / f64::from(k).powi(2);
         let mut any = false;
         for w in samples(k) {
@@ -64,7 +72,7 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
             if !any && corners[i] != next {
                 drawn.push([corners[i], next]);
             }
-            // A triangle with one vertex twice adds to that vertex's own entry.
+            // If two corners have one unknown, the entry of both corners is on the diagonal.
             if corners[i] == next {
                 diagonal[next as usize] += 2.0 * matrices[t][3 + i];
             }
@@ -109,7 +117,8 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
     x
 }
 
-/// How the gradient changes across an edge, as if its two triangles lay in one plane; none for slivers.
+/// Computes the penalty on the change of the values' gradient across an edge, as if its two triangles lay in
+/// one plane. Returns `None` if the edge has no length, or a triangle no area.
 fn hinge(
     triangles: &[Triangle],
     unknowns: &Unknowns,
@@ -117,17 +126,17 @@ fn hinge(
     mean_area: f64,
 ) -> Option<Hinge> {
     let point = |e: &Edge, corner: u8| -> DVec3 {
-        triangles[e.triangle as usize].v[usize::from(corner)].as_dvec3()
+        triangles[e.triangle.at()].v[usize::from(corner)].as_dvec3()
     };
     let (start, end) = (point(&pair[0], pair[0].from), point(&pair[0], pair[0].to));
     let along = end - start;
     let length = along.length();
-    // The third corner of each: its distance from the edge, and where along the edge it is.
+    // The third corner of each triangle: its distance from the edge, and its position along the edge.
     let third = |e: &Edge| {
         let corner = 3 - e.from - e.to;
         let to = point(e, corner) - start;
         let at = to.dot(along) / (length * length);
-        let unknown = unknowns.corners[e.triangle as usize][usize::from(corner)];
+        let unknown = unknowns.corners[e.triangle.at()][usize::from(corner)];
         ((to - along * at).length(), at, unknown)
     };
     let [(h, s, c), (k, t, d)] = [third(&pair[0]), third(&pair[1])];

@@ -1,26 +1,26 @@
-//! The body of the fuzz target `rewrite`, which the tests call too.
+//! The body of the fuzz target `rewrite`, which the tests also call.
 
-use sightline_scene::load::{Limits, Options, load_bytes_with};
+use sightline_scene::load::{LoadLimits, LoadOptions, load_bytes_with};
 
 use crate::plan::Plan;
-use crate::receivers::Value;
-use crate::settings::{Bits, Coordinates, Settings, Size, Target};
+use crate::receivers::ReceiverValue;
+use crate::settings::{BitDepth, Settings, TexCoordSource, TextureSize, ValueTarget};
 
-/// Limits of one run, so that it is fast and its memory bounded.
-const LIMITS: Limits = Limits {
+/// The limits of the loaded scene, which bound the duration and memory of one call of [`rewrite`].
+const LIMITS: LoadLimits = LoadLimits {
     triangles: 1 << 9,
     objects: 1 << 6,
 };
 
-/// Bytes as a glTF or GLB file that gets values, as a small texture and at its vertices. Returns whether it
-/// got them in one of these ways.
+/// Reads bytes as a glTF or GLB file, and writes values as a small texture and at its vertices. Returns true
+/// if one of these methods succeeded.
 ///
 /// # Panics
-/// When a file is written that cannot be read, or has other triangles. No bytes may cause that.
+/// If a written file cannot be read, or has other triangles. No input may cause that.
 pub fn rewrite(bytes: &[u8]) -> bool {
-    let options = Options {
+    let options = LoadOptions {
         limits: LIMITS,
-        ..Options::default()
+        ..LoadOptions::default()
     };
     let Ok(loaded) = load_bytes_with("fuzz", bytes, None, &options) else {
         return false;
@@ -28,24 +28,28 @@ pub fn rewrite(bytes: &[u8]) -> bool {
     let scene = loaded.scene;
     let mut is_written = false;
     for (target, coordinates, bits) in [
-        (Target::Texture, Coordinates::Any, Bits::Eight),
-        (Target::Texture, Coordinates::Unwrap, Bits::Sixteen),
-        (Target::Vertices, Coordinates::Any, Bits::Eight),
+        (ValueTarget::Texture, TexCoordSource::Any, BitDepth::Eight),
+        (
+            ValueTarget::Texture,
+            TexCoordSource::Unwrap,
+            BitDepth::Sixteen,
+        ),
+        (ValueTarget::Vertices, TexCoordSource::Any, BitDepth::Eight),
     ] {
         let settings = Settings {
             target,
-            size: Size::Resolution(16),
+            size: TextureSize::Resolution(16),
             coordinates,
             bits,
         };
         let Ok(plan) = Plan::new("fuzz", bytes, None, &scene, &settings) else {
             continue;
         };
-        let value = |k: usize| Value {
+        let value = |k: usize| ReceiverValue {
             open: (k % 7) as f64 / 6.0,
             inside: k % 5 == 4,
         };
-        let values: Vec<Value> = (0..plan.receivers().len()).map(value).collect();
+        let values: Vec<ReceiverValue> = (0..plan.receivers().len()).map(value).collect();
         let Ok(written) = plan.write(&values) else {
             continue;
         };
@@ -55,7 +59,7 @@ pub fn rewrite(bytes: &[u8]) -> bool {
             .is_ok_and(|again| again.scene.triangles() == scene.triangles());
         assert!(
             is_same,
-            "{settings:?}: the file that was written has other triangles: {:?}",
+            "{settings:?}: the written file has other triangles than the scene: {:?}",
             again.err()
         );
         is_written = true;

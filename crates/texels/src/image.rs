@@ -1,49 +1,54 @@
-//! The image: texels as means of their receivers, then without holes, and as PNG.
+//! The image: texels as means of their receivers, filled texels, and the PNG encoding.
 
 use crate::TexelsError;
-use crate::settings::Bits;
+use crate::settings::BitDepth;
 
-/// What is known of a texel.
+/// The origin of a texel's value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum State {
-    /// No part of the surface is in it.
+pub(crate) enum TexelState {
+    /// A texel that no triangle touches.
     #[default]
     Empty,
-    /// All of its receivers are inside of closed solids.
+    /// A texel whose receivers are all inside closed solids.
     Inside,
-    /// It has a value of its own.
+    /// A texel with a value from its own receivers.
     Own,
-    /// It has a value that comes from others.
+    /// A texel with a value from other texels.
     Filled,
 }
 
 /// The values of texels, row by row from the upper left corner.
 #[derive(Clone, Debug)]
-pub(crate) struct Image {
-    /// Texels across and down.
+pub(crate) struct TexelImage {
+    /// The width and height in texels.
     pub size: [usize; 2],
-    /// The values; 0 where there is none.
+    /// The values, or 0 for texels without a value.
     pub values: Vec<f64>,
-    /// What is known of each.
-    pub states: Vec<State>,
+    /// The state of each texel.
+    pub states: Vec<TexelState>,
 }
 
-impl Image {
-    /// The means of weighted values: texel, weight, value, and whether the value counts for nothing.
-    pub(crate) fn of(size: [u32; 2], values: impl Iterator<Item = (u32, f64, f64, bool)>) -> Self {
+impl TexelImage {
+    /// Computes the weighted mean of the samples of each texel. A sample consists of the texel's index, a
+    /// weight, a value, and a flag. If the flag is true, the sample is inside a closed solid and its value is
+    /// ignored.
+    pub(crate) fn from_samples(
+        size: [u32; 2],
+        values: impl Iterator<Item = (u32, f64, f64, bool)>,
+    ) -> Self {
         let size = size.map(|n| n as usize);
         let mut sums = vec![0.0; size[0] * size[1]];
         let mut weights = vec![0.0; sums.len()];
-        let mut states = vec![State::Empty; sums.len()];
+        let mut states = vec![TexelState::Empty; sums.len()];
         for (texel, weight, value, inside) in values {
             let at = texel as usize;
             if inside {
-                if states[at] == State::Empty {
-                    states[at] = State::Inside;
+                if states[at] == TexelState::Empty {
+                    states[at] = TexelState::Inside;
                 }
                 continue;
             }
-            states[at] = State::Own;
+            states[at] = TexelState::Own;
             sums[at] += weight * value;
             weights[at] += weight;
         }
@@ -59,12 +64,13 @@ impl Image {
         }
     }
 
-    /// How many texels are in a state.
-    pub(crate) fn count(&self, state: State) -> usize {
+    /// Returns the number of texels in a state.
+    pub(crate) fn count(&self, state: TexelState) -> usize {
         self.states.iter().filter(|s| **s == state).count()
     }
 
-    /// The four texels around a place, and their weights in bilinear filtering.
+    /// Returns the indices of the four texels around a position in texels, and their weights in bilinear
+    /// filtering.
     pub(crate) fn around(&self, place: [f64; 2]) -> [(u32, f64); 4] {
         let [(x, right), (y, down)] = [0, 1].map(|k| {
             let at = (place[k] - 0.5).clamp(0.0, (self.size[k] - 1) as f64);
@@ -81,14 +87,14 @@ impl Image {
         ]
     }
 
-    /// A PNG of grey values.
-    pub(crate) fn png(&self, bits: Bits) -> Result<Vec<u8>, TexelsError> {
+    /// Encodes the values as a greyscale PNG, from black for 0 to white for 1.
+    pub(crate) fn png(&self, bits: BitDepth) -> Result<Vec<u8>, TexelsError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.size[0] as u32, self.size[1] as u32);
         encoder.set_color(png::ColorType::Grayscale);
         encoder.set_depth(match bits {
-            Bits::Eight => png::BitDepth::Eight,
-            Bits::Sixteen => png::BitDepth::Sixteen,
+            BitDepth::Eight => png::BitDepth::Eight,
+            BitDepth::Sixteen => png::BitDepth::Sixteen,
         });
         let mut writer = encoder.write_header()?;
         let numbers = self
@@ -96,8 +102,8 @@ impl Image {
             .iter()
             .map(|v| (v.clamp(0.0, 1.0) * bits.largest()).round());
         let data: Vec<u8> = match bits {
-            Bits::Eight => numbers.map(|n| n as u8).collect(),
-            Bits::Sixteen => numbers.flat_map(|n| (n as u16).to_be_bytes()).collect(),
+            BitDepth::Eight => numbers.map(|n| n as u8).collect(),
+            BitDepth::Sixteen => numbers.flat_map(|n| (n as u16).to_be_bytes()).collect(),
         };
         writer.write_image_data(&data)?;
         writer.finish()?;

@@ -1,16 +1,17 @@
-//! Which way fronts turn at a node, and instances of a node's mesh (EXT_mesh_gpu_instancing) as nodes.
+//! The mirroring of transforms, and the conversion of a node's mesh instances (EXT_mesh_gpu_instancing) to
+//! nodes.
 
 use serde_json::{Map, Value, json};
 
 use crate::TexelsError;
-use crate::accessor::Elements;
-use crate::file::{File, member};
+use crate::accessor::CheckedElements;
+use crate::file::{GltfParts, member};
 
-/// The extension.
+/// The name of the extension.
 const INSTANCING: &str = "EXT_mesh_gpu_instancing";
 
-/// For each node 1, or -1 if its transform to world space mirrors.
-pub(crate) fn mirrors(file: &File) -> Vec<f64> {
+/// Returns a sign for each node: -1 if the node's transform to world space mirrors, otherwise 1.
+pub(crate) fn mirrors(file: &GltfParts) -> Vec<f64> {
     let nodes = file.array("nodes");
     let mut parents = vec![None; nodes.len()];
     for (n, node) in nodes.iter().enumerate() {
@@ -31,9 +32,9 @@ pub(crate) fn mirrors(file: &File) -> Vec<f64> {
     let own: Vec<f64> = nodes.iter().map(own).collect();
     let mut signs = vec![0.0; nodes.len()];
     for start in 0..nodes.len() {
-        // Up to a node that is known or has no parent, and down again.
+        // Walk up to a root or to a node whose sign is known, and then compute the signs on the way down.
         let (mut path, mut at) = (Vec::new(), Some(start));
-        // A circle ends after as many steps as there are nodes; the reader of the scene refuses it.
+        // The limit on the path's length ends cycles of nodes, which the scene loader rejects.
         while let Some(n) = at.filter(|n| signs[*n] == 0.0 && path.len() < nodes.len()) {
             path.push(n);
             at = parents[n];
@@ -47,7 +48,7 @@ pub(crate) fn mirrors(file: &File) -> Vec<f64> {
     signs
 }
 
-/// 1, or -1 if the transform of a node relative to its parent mirrors.
+/// Returns 1, or -1 if the transform of a node relative to its parent mirrors.
 fn own(node: &Value) -> f64 {
     let numbers = |key: &str| -> Option<Vec<f64>> {
         node.get(key)?
@@ -62,34 +63,41 @@ fn own(node: &Value) -> f64 {
     numbers("scale").map_or(1.0, |s| s.into_iter().map(sign).product())
 }
 
-/// The sign of a number, 1 for zero.
+/// Returns the sign of a number, which is 1 for zero.
 fn sign(x: f64) -> f64 {
     if x < 0.0 { -1.0 } else { 1.0 }
 }
 
-/// The accessors of a node's instances: TRANSLATION, ROTATION, SCALE.
+/// Returns the indices of the accessors of a node's instances: of their translations, rotations and scales.
+/// Returns `None` if the node has no instances.
 fn attributes(node: &Value) -> Option<[Option<usize>; 3]> {
     let attributes = node.get("extensions")?.get(INSTANCING)?.get("attributes")?;
     Some(["TRANSLATION", "ROTATION", "SCALE"].map(|key| member(attributes, key)))
 }
 
-/// 1, or -1 if the transform of instance `i` of a node mirrors.
-pub(crate) fn instance_mirrors(file: &File, node: usize, i: u32) -> Result<f64, TexelsError> {
+/// Returns 1, or -1 if the transform of instance `i` of a node mirrors.
+pub(crate) fn instance_mirrors(file: &GltfParts, node: usize, i: u32) -> Result<f64, TexelsError> {
     let scale = file
         .array("nodes")
         .get(node)
         .and_then(attributes)
         .and_then(|a| a[2]);
     let Some(scale) = scale else { return Ok(1.0) };
-    let elements = Elements::read(file, scale)?;
+    let elements = CheckedElements::read(file, scale)?;
     Ok((0..3)
         .map(|c| sign(elements.number(i as usize, c)))
         .product())
 }
 
-/// Replaces the instances of a node by children, one for each of `meshes`, which come before its other
-/// children, so that triangles keep their order.
-pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(), TexelsError> {
+/// Replaces the instances of a node by child nodes: one for each mesh index in `meshes`, in the order of the
+/// instances.
+///
+/// The new children precede the node's other children, so triangles keep their order.
+pub(crate) fn expand(
+    file: &mut GltfParts,
+    node: usize,
+    meshes: &[usize],
+) -> Result<(), TexelsError> {
     let original = file.array("nodes").get(node).cloned().unwrap_or_default();
     let Some(of) = attributes(&original) else {
         return Ok(());
@@ -109,7 +117,7 @@ pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(
                 .zip([("translation", 3), ("rotation", 4), ("scale", 3)])
         {
             let Some(accessor) = accessor else { continue };
-            let elements = Elements::read(file, accessor)?;
+            let elements = CheckedElements::read(file, accessor)?;
             let numbers: Vec<f64> = (0..n).map(|c| elements.number(i, c)).collect();
             child.insert(key.to_owned(), json!(numbers));
         }
@@ -138,8 +146,8 @@ pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(
     Ok(())
 }
 
-/// Takes the extension off the lists of the document when no node has it any more.
-pub(crate) fn undeclare(file: &mut File) -> Result<(), TexelsError> {
+/// Removes the extension from `extensionsUsed` and `extensionsRequired` if no node uses the extension.
+pub(crate) fn undeclare(file: &mut GltfParts) -> Result<(), TexelsError> {
     if file.array("nodes").iter().any(|n| attributes(n).is_some()) {
         return Ok(());
     }

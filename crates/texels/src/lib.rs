@@ -1,17 +1,35 @@
-//! Values of a surface into the user's own glTF file.
+//! A writer of surface values into an existing glTF file.
 //!
-//! [`Plan::new`] reads a file and lists the points whose values it wants ([`Plan::receivers`]). Whoever
-//! knows the values gives them to [`Plan::write`], which returns a GLB: the file as it was, with an
-//! occlusion texture or with values at its vertices. This crate knows nothing of what the values mean,
-//! beyond that 0 is dark and 1 is bright.
+//! [`Plan::new`] reads a file and lists the points whose values are needed ([`Plan::receivers`]). The caller
+//! computes the values and passes them to [`Plan::write`], which returns a GLB: the original file with an
+//! added occlusion texture, or with values at its vertices. A file in another format becomes a new glTF file.
+//!
+//! # Modules
+//!
+//! - `plan`, `settings`, `receivers`: the [`Plan`], its [`Settings`], and its points and values.
+//! - `pieces`, `vertices`, `fit`, `solver`: the points of texels and vertices, and the fit of values at
+//!   vertices.
+//! - `kept_coordinates`, `unwrap`, `atlas`, `pack`, `overlap`: texture coordinates of the file, or new ones.
+//! - `image`, `fill`, `seams`: the texels, the values of texels without a receiver, and equal values on both
+//!   sides of a seam.
+//! - `file`, `plain`, `parts`, `primitives`, `materials`, `instances`, `copies`, `accessor`,
+//!   `added_accessors`, `written_file`: the glTF file and the changes of its elements.
+//!
+//! # Invariants
+//!
+//! - This crate does not interpret the values, except that 0 is dark and 1 is bright.
+//! - The written file has the same triangles as the read file.
+//! - The fit of values at vertices sums in a fixed order, so equal inputs give equal bytes.
+//!
+//! # Example
 //!
 //! ```
-//! use sightline_texels::{Plan, Settings, Value};
+//! use sightline_texels::{Plan, ReceiverValue, Settings};
 //!
 //! let text = "o floor\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3 4\n";
 //! let scene = sightline_scene::load_bytes("floor.obj", text.as_bytes(), None)?;
 //! let plan = Plan::new("floor.obj", text.as_bytes(), None, &scene, &Settings::default())?;
-//! let values = vec![Value { open: 0.5, inside: false }; plan.receivers().len()];
+//! let values = vec![ReceiverValue { open: 0.5, inside: false }; plan.receivers().len()];
 //! let written = plan.write(&values)?;
 //! let again = sightline_scene::load_bytes("out.glb", &written.glb, None)?;
 //! assert_eq!(again.triangles(), scene.triangles());
@@ -19,7 +37,7 @@
 //! ```
 
 mod accessor;
-mod added;
+mod added_accessors;
 mod atlas;
 mod copies;
 mod error;
@@ -29,7 +47,7 @@ mod fit;
 pub mod fuzzing;
 mod image;
 mod instances;
-mod kept;
+mod kept_coordinates;
 mod materials;
 mod overlap;
 mod pack;
@@ -45,9 +63,9 @@ mod solver;
 mod unwrap;
 mod vertices;
 mod welds;
-mod written;
+mod written_file;
 
 pub use error::TexelsError;
-pub use plan::{Facts, Plan, Written};
-pub use receivers::{Receiver, Value};
-pub use settings::{Bits, Coordinates, Settings, Size, Target};
+pub use plan::{Plan, WriteSummary, WrittenFile};
+pub use receivers::{Receiver, ReceiverValue};
+pub use settings::{BitDepth, Settings, TexCoordSource, TextureSize, ValueTarget};

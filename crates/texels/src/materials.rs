@@ -1,37 +1,38 @@
-//! Materials with an occlusion texture. Primitives that get none keep the materials that they have.
+//! The addition of the occlusion texture to materials. Primitives that do not use the texture keep their
+//! materials.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
 
 use crate::TexelsError;
-use crate::file::{File, member};
+use crate::file::{GltfParts, member};
 use crate::parts::{primitive_of, put_primitive};
 
-/// Materials that an application may choose from (KHR_materials_variants).
+/// The extension with alternative materials of a primitive, between which an application can switch.
 const VARIANTS: &str = "KHR_materials_variants";
 
-/// A primitive of a mesh, and the set of texture coordinates for its occlusion.
+/// A primitive that uses the occlusion texture, and its set of texture coordinates for this texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Use {
-    /// The mesh.
+pub(crate) struct OcclusionUse {
+    /// The index of the mesh in the file.
     pub mesh: usize,
-    /// The primitive.
+    /// The index of the primitive in the mesh.
     pub primitive: usize,
-    /// The number of the set.
+    /// The index N of the set `TEXCOORD_N`.
     pub set: usize,
 }
 
-/// What was done.
+/// The counts of added materials and replaced occlusion textures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Done {
-    /// Materials that were added: for primitives without one, and copies.
+pub(crate) struct MaterialChanges {
+    /// The number of added materials: for primitives without a material, and copies.
     pub added: usize,
-    /// Occlusion textures that were replaced.
+    /// The number of materials whose occlusion texture was replaced.
     pub replaced: usize,
 }
 
-/// The variants of a primitive.
+/// Returns the mappings of a primitive from variants to materials.
 fn variants(primitive: &Value) -> impl Iterator<Item = &Value> {
     let mappings = primitive
         .get("extensions")
@@ -40,14 +41,15 @@ fn variants(primitive: &Value) -> impl Iterator<Item = &Value> {
     mappings.and_then(Value::as_array).into_iter().flatten()
 }
 
-/// The materials of a primitive: its own, and those of its variants.
+/// Returns the indices of a primitive's materials: of `material` and of the materials of its variants.
 pub(crate) fn numbers_of(primitive: &Value) -> impl Iterator<Item = usize> {
     member(primitive, "material")
         .into_iter()
         .chain(variants(primitive).filter_map(|v| member(v, "material")))
 }
 
-/// Whether a texture of a material, other than its occlusion, has this set of coordinates.
+/// Returns true if a texture of a material, other than its occlusion texture, uses the texture coordinates
+/// `TEXCOORD_N`, where N is `set`.
 pub(crate) fn uses_set(material: Option<&Value>, set: usize) -> bool {
     let mut open: Vec<&Value> = material.into_iter().collect();
     while let Some(value) = open.pop() {
@@ -70,10 +72,15 @@ pub(crate) fn uses_set(material: Option<&Value>, set: usize) -> bool {
     false
 }
 
-/// Gives all materials of some primitives a texture as occlusion texture.
-pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Done, TexelsError> {
+/// Sets the texture with index `texture` as the occlusion texture of all materials of the primitives in
+/// `uses`. A material that other primitives also use is copied first.
+pub(crate) fn assign(
+    file: &mut GltfParts,
+    uses: &[OcclusionUse],
+    texture: usize,
+) -> Result<MaterialChanges, TexelsError> {
     let changed: BTreeSet<(usize, usize)> = uses.iter().map(|u| (u.mesh, u.primitive)).collect();
-    // Materials of primitives that stay as they are.
+    // The materials of primitives that are not in `uses`.
     let mut others = BTreeSet::new();
     for (m, mesh) in file.array("meshes").iter().enumerate() {
         let primitives = mesh.get("primitives").and_then(Value::as_array);
@@ -83,12 +90,12 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
             }
         }
     }
-    let mut done = Done::default();
+    let mut done = MaterialChanges::default();
     let mut known: BTreeMap<(Option<usize>, usize), usize> = BTreeMap::new();
-    // Materials that are changed themselves.
+    // The materials that are changed in place.
     let mut taken = BTreeSet::new();
     let mut with_texture =
-        |file: &mut File, original: Option<usize>, set: usize| -> Result<usize, TexelsError> {
+        |file: &mut GltfParts, original: Option<usize>, set: usize| -> Result<usize, TexelsError> {
             if let Some(number) = known.get(&(original, set)) {
                 return Ok(*number);
             }
@@ -99,7 +106,8 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
                     done.added += 1;
                     let mut copy =
                         given.map_or_else(|| json!({}), |m| file.array("materials")[m].clone());
-                    // A copy of one that has been changed already has the texture: it was counted there.
+                    // A material that was changed in place already has the new texture. Its copy does not
+                    // count as another replacement.
                     if given.is_some_and(|m| taken.contains(&m))
                         && let Some(copy) = copy.as_object_mut()
                     {

@@ -1,25 +1,25 @@
-//! Whether triangles overlap in the plane of texture coordinates.
+//! A test for overlapping triangles in the plane of texture coordinates.
 //!
-//! Triangles may touch, and may overlap by less than [`SLACK`] in some direction, as rounding makes them.
+//! Triangles may touch, and may overlap by less than [`SLACK`] in some direction because of rounding.
 
-/// Widest overlap that is allowed, as a part of the image's side: a sixteenth of a texel of 4096.
+/// Maximum allowed overlap, in texture coordinates: a sixteenth of a texel in an image 4096 texels wide.
 pub(crate) const SLACK: f64 = 1.0 / 65536.0;
 
-/// Corners of a triangle.
-pub(crate) type Flat = [[f64; 2]; 3];
+/// The corners of a triangle in texture coordinates.
+pub(crate) type FlatTriangle = [[f64; 2]; 3];
 
-/// Triangles of a part that are compared one by one.
+/// Maximum number of triangles that are compared pairwise without a further division.
 const FEW: usize = 24;
-/// Deepest division.
+/// Maximum number of successive divisions of the triangles.
 const DEEPEST: u32 = 40;
 
-/// Two triangles that overlap and for which `counts`; which of several such pairs depends on the triangles
-/// alone.
+/// Finds two triangles that overlap, and returns their indices. `counts` returns true for the pairs of
+/// indices to consider. If several such pairs exist, the choice depends only on the triangles.
 pub(crate) fn overlap(
-    triangles: &[Flat],
+    triangles: &[FlatTriangle],
     counts: &dyn Fn(usize, usize) -> bool,
 ) -> Option<(usize, usize)> {
-    // Thinner ones cannot overlap by more.
+    // Triangles thinner than the slack cannot overlap by more than the slack.
     let all: Vec<usize> = (0..triangles.len())
         .filter(|i| !thin(&triangles[*i]))
         .collect();
@@ -44,22 +44,24 @@ pub(crate) fn overlap(
     None
 }
 
-/// The least and the largest coordinate of a triangle on an axis.
-fn extent(t: &Flat, axis: usize) -> [f64; 2] {
+/// Returns the minimum and maximum coordinate of a triangle on an axis.
+fn extent(t: &FlatTriangle, axis: usize) -> [f64; 2] {
     let [a, b, c] = [0, 1, 2].map(|k| t[k][axis]);
     [a.min(b).min(c), a.max(b).max(c)]
 }
 
-/// Whether a triangle is too thin to overlap with anything.
-fn thin(t: &Flat) -> bool {
+/// Returns true if a triangle is too thin to overlap another triangle by more than the slack.
+fn thin(t: &FlatTriangle) -> bool {
     !(0..2).all(|axis| {
         let [low, high] = extent(t, axis);
         high - low > SLACK
     })
 }
 
-/// The triangles on both sides of a line; none where that divides too little.
-fn divide(triangles: &[Flat], part: &[usize]) -> Option<[Vec<usize>; 2]> {
+/// Divides the triangles with the indices `part` at an axis-parallel line. Returns the indices on the lower
+/// and on the higher side; triangles that cross the line are in both lists. Returns `None` if a list would
+/// have more than 7/8 of the triangles.
+fn divide(triangles: &[FlatTriangle], part: &[usize]) -> Option<[Vec<usize>; 2]> {
     let spread = |axis: usize| {
         let mut middles: Vec<f64> = part
             .iter()
@@ -94,23 +96,24 @@ fn divide(triangles: &[Flat], part: &[usize]) -> Option<[Vec<usize>; 2]> {
     order.into_iter().find_map(|(axis, at)| try_axis(axis, at))
 }
 
-/// Whether no line along an edge keeps the triangles apart, by the theorem of separating axes.
-fn overlaps(a: &Flat, b: &Flat) -> bool {
+/// Returns true if two triangles overlap by more than the slack on every axis and across every edge, by the
+/// separating axis theorem.
+fn overlaps(a: &FlatTriangle, b: &FlatTriangle) -> bool {
     for axis in 0..2 {
         let (a, b) = (extent(a, axis), extent(b, axis));
         if a[1].min(b[1]) - a[0].max(b[0]) <= SLACK {
             return false;
         }
     }
-    for of in [a, b] {
+    for triangle in [a, b] {
         for k in 0..3 {
-            let (p, q) = (of[k], of[(k + 1) % 3]);
+            let (p, q) = (triangle[k], triangle[(k + 1) % 3]);
             let normal = [p[1] - q[1], q[0] - p[0]];
             let length = (normal[0] * normal[0] + normal[1] * normal[1]).sqrt();
             if length == 0.0 {
                 continue;
             }
-            let range = |t: &Flat| {
+            let range = |t: &FlatTriangle| {
                 let [x, y, z] = t.map(|c| (c[0] * normal[0] + c[1] * normal[1]) / length);
                 [x.min(y).min(z), x.max(y).max(z)]
             };
@@ -127,7 +130,7 @@ fn overlaps(a: &Flat, b: &Flat) -> bool {
 mod tests {
     use super::*;
 
-    fn grid(n: usize) -> Vec<Flat> {
+    fn grid(n: usize) -> Vec<FlatTriangle> {
         let at = |i: usize| i as f64 / n as f64;
         let square = |i: usize, j: usize| {
             let [a, b, c, d] = [
@@ -144,12 +147,12 @@ mod tests {
     #[test]
     fn touching_triangles_do_not_overlap() {
         assert_eq!(overlap(&grid(40), &|_, _| true), None);
-        // A fan: all meet in one point.
+        // A fan, whose triangles all meet in one point.
         let rim = |k: usize| {
             let angle = k as f64 * std::f64::consts::TAU / 300.0;
             [0.5 + 0.4 * angle.cos(), 0.5 + 0.4 * angle.sin()]
         };
-        let fan: Vec<Flat> = (0..300).map(|k| [[0.5, 0.5], rim(k), rim(k + 1)]).collect();
+        let fan: Vec<FlatTriangle> = (0..300).map(|k| [[0.5, 0.5], rim(k), rim(k + 1)]).collect();
         assert_eq!(overlap(&fan, &|_, _| true), None);
     }
 
@@ -160,13 +163,13 @@ mod tests {
         let (a, b) = overlap(&all, &|_, _| true).unwrap();
         assert_eq!((a / 2, b), (20 * 40 + 20, 3200));
         assert_eq!(overlap(&all, &|_, b| b != 3200), None);
-        // The same triangle twice, also turned over.
+        // The same triangle twice, also with the opposite winding.
         let t = [[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]];
         assert_eq!(
             overlap(&[t, [t[0], t[2], t[1]]], &|_, _| true),
             Some((0, 1))
         );
-        // Crossing ones none of whose corners is inside of the other.
+        // Crossing triangles without any corner inside the other triangle.
         let (flat, high) = (
             [[0.0, 0.4], [1.0, 0.4], [1.0, 0.6]],
             [[0.4, 0.0], [0.6, 1.0], [0.4, 1.0]],

@@ -1,43 +1,49 @@
-//! Places for rectangles in one image, with gaps between them.
+//! The placement of rectangles in one image, with gaps between them.
 //!
-//! Rectangles stand in rows, the highest first. That leaves more of the image empty than packing by shape,
-//! and is done in a blink for a hundred thousand charts.
+//! Rectangles are placed in rows, the highest first. This leaves more of the image empty than packing by
+//! shape, but is very fast even for a hundred thousand charts.
 
 use crate::TexelsError;
 use crate::error::MOST_SIDE;
-use crate::settings::Size;
+use crate::settings::TextureSize;
 
-/// Empty texels around each rectangle, which are twice as far apart: four, or fewer where there is no room.
+/// The numbers of empty texels around each rectangle that `pack` tries, in this order, until all rectangles
+/// fit. Two rectangles are at least twice as far apart.
 const GAPS: [u32; 3] = [4, 2, 1];
 
-/// Where rectangles are.
+/// The positions of the packed rectangles, the scale and the size of the image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Packed {
-    /// The upper left corner of each, in texels.
+    /// The upper left corner of each rectangle, in texels.
     pub at: Vec<[u32; 2]>,
-    /// Texels for a unit of the scene.
+    /// The number of texels per unit of the scene.
     pub per_unit: f64,
-    /// The size of the image.
+    /// The size of the image in texels.
     pub size: [u32; 2],
-    /// Empty texels around each.
+    /// The number of empty texels around each rectangle.
     pub gap: u32,
 }
 
-/// Places for rectangles whose sizes are in units of the scene. `file` appears in errors.
-pub(crate) fn pack(file: &str, sizes: &[[f64; 2]], size: Size) -> Result<Packed, TexelsError> {
+/// Places rectangles in one image. `sizes` contains their widths and heights in units of the scene, `size`
+/// determines the scale, and `file` is the name of the file in errors.
+pub(crate) fn pack(
+    file: &str,
+    sizes: &[[f64; 2]],
+    size: TextureSize,
+) -> Result<Packed, TexelsError> {
     let found = |gap: &u32| match size {
-        Size::Texel(texel) => by_texel(sizes, texel, *gap),
-        Size::Resolution(side) => by_side(sizes, side, *gap),
+        TextureSize::Texel(texel) => by_texel(sizes, texel, *gap),
+        TextureSize::Resolution(side) => by_side(sizes, side, *gap),
     };
     GAPS.iter().find_map(found).ok_or_else(|| match size {
-        Size::Texel(texel) => {
+        TextureSize::Texel(texel) => {
             let texels = sizes.iter().map(|s| s[0] * s[1] / (texel * texel)).sum();
             TexelsError::TooManyTexels {
                 file: file.to_owned(),
                 texels,
             }
         }
-        Size::Resolution(side) => TexelsError::TooManyCharts {
+        TextureSize::Resolution(side) => TexelsError::TooManyCharts {
             file: file.to_owned(),
             charts: sizes.len() as u32,
             side,
@@ -45,14 +51,14 @@ pub(crate) fn pack(file: &str, sizes: &[[f64; 2]], size: Size) -> Result<Packed,
     })
 }
 
-/// A width or height in whole texels.
+/// Converts a width or height from units of the scene to whole texels, at least 1.
 fn texels(units: f64, per_unit: f64) -> u32 {
-    // A cast keeps what is too large at the largest number.
+    // The cast saturates at `u32::MAX`.
     ((units * per_unit).ceil() as u32).max(1)
 }
 
-/// In a square image that is as small as it can be, for texels of a given size; none if it would be too
-/// large.
+/// Packs rectangles into an image that is as small as possible and not higher than wide. `texel` is the side
+/// of a texel in units of the scene. Returns `None` if the image would be wider than [`MOST_SIDE`].
 fn by_texel(sizes: &[[f64; 2]], texel: f64, gap: u32) -> Option<Packed> {
     let rectangles: Vec<[u32; 2]> = sizes
         .iter()
@@ -83,7 +89,8 @@ fn by_texel(sizes: &[[f64; 2]], texel: f64, gap: u32) -> Option<Packed> {
     None
 }
 
-/// In a square image of a given side, as large as they can be; none if they do not fit at any size.
+/// Packs rectangles into a square image with a side of `side` texels, with as many texels per unit of the
+/// scene as possible. Returns `None` if the rectangles do not fit even with one texel each.
 fn by_side(sizes: &[[f64; 2]], side: u32, gap: u32) -> Option<Packed> {
     let fits = |per_unit: f64| {
         let rectangles: Vec<[u32; 2]> = sizes
@@ -107,7 +114,7 @@ fn by_side(sizes: &[[f64; 2]], side: u32, gap: u32) -> Option<Packed> {
         .copied()
         .fold(f64::MIN_POSITIVE, f64::max);
     let (mut low, mut high) = (0.0, f64::from(side) / largest);
-    // Every rectangle is one texel.
+    // At this scale every rectangle is one texel.
     let mut best = fits(low)?;
     for _ in 0..24 {
         let middle = 0.5 * (low + high);
@@ -119,7 +126,8 @@ fn by_side(sizes: &[[f64; 2]], side: u32, gap: u32) -> Option<Packed> {
     Some(best)
 }
 
-/// Rectangles in rows of a width, and the height of all rows.
+/// Places rectangles in rows of `width` texels. Returns the upper left corner of each rectangle and the total
+/// height of the rows, in texels.
 fn rows(rectangles: &[[u32; 2]], width: u32, gap: u32) -> (Vec<[u32; 2]>, u32) {
     let mut order: Vec<usize> = (0..rectangles.len()).collect();
     order.sort_by_key(|i| {
@@ -158,9 +166,9 @@ mod tests {
             })
             .collect();
         for size in [
-            Size::Resolution(200),
-            Size::Resolution(100),
-            Size::Texel(0.05),
+            TextureSize::Resolution(200),
+            TextureSize::Resolution(100),
+            TextureSize::Texel(0.05),
         ] {
             let packed = pack("test", &sizes, size).unwrap();
             let [width, height] = packed.size.map(|n| n as usize);
@@ -179,7 +187,7 @@ mod tests {
             let used = owner.iter().filter(|u| **u).count();
             assert!(used * 4 > owner.len() * 3, "{used} of {}", owner.len());
         }
-        assert!(pack("test", &sizes, Size::Resolution(30)).is_err());
-        assert!(pack("test", &sizes, Size::Texel(1e-5)).is_err());
+        assert!(pack("test", &sizes, TextureSize::Resolution(30)).is_err());
+        assert!(pack("test", &sizes, TextureSize::Texel(1e-5)).is_err());
     }
 }

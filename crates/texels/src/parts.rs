@@ -1,65 +1,71 @@
-//! The parts of a file that have a surface: pairs of a node's mesh and a primitive, with their triangles.
+//! The primitive instances of a file: for each node with a mesh, the primitives of the mesh with triangles.
 
 use serde_json::Value;
-use sightline_scene::{Scene, Source};
+use sightline_scene::{GltfLocation, Scene};
 
 use crate::TexelsError;
-use crate::accessor::Elements;
-use crate::file::{File, member};
+use crate::accessor::CheckedElements;
+use crate::file::{GltfParts, member};
 use crate::instances::{instance_mirrors, mirrors};
 
 /// The extension of compressed primitives.
 const DRACO: &str = "KHR_draco_mesh_compression";
 
-/// A primitive as a node has it.
+/// A primitive of a mesh instance, with its triangles.
 #[derive(Clone, Debug)]
-pub(crate) struct Part {
-    /// Which of the draws it belongs to.
+pub(crate) struct PrimitiveInstance {
+    /// The index of the mesh instance in [`PrimitiveInstances::draws`].
     pub draw: usize,
-    /// The number of the primitive in its mesh.
+    /// The index of the primitive in its mesh.
     pub primitive: usize,
-    /// Its first triangle in the scene.
+    /// The id of the primitive's first triangle in the scene.
     pub first: u32,
-    /// The vertices of its triangles, as numbers of its accessors' elements.
+    /// The corners of the primitive's triangles, as indices of vertices.
     pub corners: Vec<[u32; 3]>,
-    /// The accessor of its positions.
+    /// The index of the accessor of the positions.
     pub positions: usize,
-    /// Elements of that accessor.
+    /// The number of elements of the accessor of the positions.
     pub vertices: u32,
-    /// 1, or -1 if the transform mirrors: then triangles are wound clockwise as seen from their front.
+    /// The winding of the triangles' fronts: 1, or -1 if the transform to world space mirrors. With -1,
+    /// triangles are wound clockwise as seen from their front.
     pub front: f64,
 }
 
-/// A mesh as a node has it.
+/// The mesh of a node, or of one of the node's instances (EXT_mesh_gpu_instancing).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Draw {
-    /// The node.
+pub(crate) struct MeshInstance {
+    /// The index of the node in the file.
     pub node: usize,
-    /// The instance, of a node with instances.
+    /// The index of the instance, if the node has instances.
     pub instance: Option<u32>,
-    /// The mesh.
+    /// The index of the mesh in the file.
     pub mesh: usize,
 }
 
-/// All parts that have triangles, in their order in the scene, and the draws they belong to.
+/// All primitive instances with triangles, and the mesh instances that contain them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Parts {
-    /// The parts.
-    pub all: Vec<Part>,
-    /// The meshes that nodes have, also those without triangles.
-    pub draws: Vec<Draw>,
+pub(crate) struct PrimitiveInstances {
+    /// The primitive instances with triangles, in the order of their triangles in the scene.
+    pub all: Vec<PrimitiveInstance>,
+    /// The mesh instances of the scene, including instances of meshes without triangles.
+    pub draws: Vec<MeshInstance>,
 }
 
-impl Parts {
-    /// The parts of `file`, whose scene is `scene` and whose objects are at `sources`.
-    pub(crate) fn of(file: &File, scene: &Scene, sources: &[Source]) -> Result<Self, TexelsError> {
+impl PrimitiveInstances {
+    /// Lists the primitive instances of `file`. `scene` is the scene that was loaded from the file, and
+    /// `sources` contains the location of each of its objects in the file.
+    pub(crate) fn new(
+        file: &GltfParts,
+        scene: &Scene,
+        sources: &[GltfLocation],
+    ) -> Result<Self, TexelsError> {
         let signs = mirrors(file);
         let mut parts = Self::default();
         let mut front = 1.0;
         for (object, source) in scene.objects().iter().zip(sources) {
             let [node, mesh, primitive] =
                 [source.node, source.mesh, source.primitive].map(|i| i as usize);
-            let draw = Draw {
+            let draw = MeshInstance {
                 node,
                 instance: source.instance,
                 mesh,
@@ -75,15 +81,16 @@ impl Parts {
                 continue;
             }
             let element = format!("mesh {mesh}, primitive {primitive}");
-            let given = primitive_of(file, mesh, primitive)
-                .ok_or_else(|| file.broken(element.as_str(), "there is no such primitive"))?;
+            let given = primitive_of(file, mesh, primitive).ok_or_else(|| {
+                file.broken(element.as_str(), "the file contains no such primitive")
+            })?;
             let mut part = corners(file, given, &element)?;
             if part.corners.len() != object.count as usize {
                 return Err(TexelsError::OtherScene {
                     file: file.name.clone(),
                     element,
                     reason: format!(
-                        "it has {} triangles, the scene {}",
+                        "the primitive has {} triangles in the file and {} in the scene",
                         part.corners.len(),
                         object.count
                     ),
@@ -97,17 +104,17 @@ impl Parts {
     }
 }
 
-/// A primitive of a mesh.
-pub(crate) fn primitive_of(file: &File, mesh: usize, primitive: usize) -> Option<&Value> {
+/// Returns primitive `primitive` of mesh `mesh`, or `None` if the file does not contain it.
+pub(crate) fn primitive_of(file: &GltfParts, mesh: usize, primitive: usize) -> Option<&Value> {
     file.array("meshes")
         .get(mesh)?
         .get("primitives")?
         .get(primitive)
 }
 
-/// Replaces a primitive.
+/// Replaces primitive `primitive` of mesh `mesh` by `new`.
 pub(crate) fn put_primitive(
-    file: &mut File,
+    file: &mut GltfParts,
     mesh: usize,
     primitive: usize,
     new: Value,
@@ -122,8 +129,12 @@ pub(crate) fn put_primitive(
     Ok(())
 }
 
-/// A primitive's triangles.
-fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, TexelsError> {
+/// Reads a primitive's triangles. The caller sets `draw`, `primitive`, `first` and `front` of the result.
+fn corners(
+    file: &GltfParts,
+    primitive: &Value,
+    element: &str,
+) -> Result<PrimitiveInstance, TexelsError> {
     if primitive
         .get("extensions")
         .is_some_and(|e| e.get(DRACO).is_some())
@@ -138,23 +149,29 @@ fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, Texels
     let positions = primitive
         .get("attributes")
         .and_then(|a| member(a, "POSITION"));
-    let positions = positions.ok_or_else(|| file.broken(element, "it has no positions"))?;
-    let vertices = Elements::read(file, positions)?.count;
-    let vertices =
-        u32::try_from(vertices).map_err(|_| file.broken(element, "it has too many vertices"))?;
+    let positions =
+        positions.ok_or_else(|| file.broken(element, "the primitive has no POSITION"))?;
+    let vertices = CheckedElements::read(file, positions)?.count;
+    let vertices = u32::try_from(vertices)
+        .map_err(|_| file.broken(element, "the primitive has more than 4294967295 vertices"))?;
     let list: Vec<u32> = match member(primitive, "indices") {
         None => (0..vertices).collect(),
         Some(indices) => {
-            let elements = Elements::read(file, indices)?;
+            let elements = CheckedElements::read(file, indices)?;
             let indices: Option<Vec<u32>> = (0..elements.count)
                 .map(|i| elements.index(i).filter(|v| *v < vertices))
                 .collect();
-            indices.ok_or_else(|| file.broken(element, "an index names no vertex"))?
+            indices.ok_or_else(|| {
+                file.broken(
+                    element,
+                    "an index is not an unsigned integer below the number of vertices",
+                )
+            })?
         }
     };
     let corners = match primitive.get("mode").and_then(Value::as_u64).unwrap_or(4) {
         4 => list.as_chunks::<3>().0.to_vec(),
-        // Every second triangle of a strip is turned, so that all wind the same way.
+        // Every second triangle of a strip is reversed, so that all have the same winding.
         5 => list
             .windows(3)
             .enumerate()
@@ -173,7 +190,7 @@ fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, Texels
             .collect(),
         _ => Vec::new(),
     };
-    Ok(Part {
+    Ok(PrimitiveInstance {
         draw: 0,
         primitive: 0,
         first: 0,

@@ -1,53 +1,60 @@
-//! The pieces of triangles in texels: the receivers of a texture.
+//! The receivers of a texture: one for each piece, the part of a triangle within one texel.
 //!
-//! The receiver of a piece is the centre of its area, its weight the area of its part of the surface. So
-//! the mean of the receivers of a texel is exact for a value that is linear on each piece.
+//! The receiver of a piece is the centroid of the piece, and its weight is the area of the piece on the
+//! surface. So the weighted mean of a texel's receivers is exact for a value that is linear on each piece.
 
 use rayon::prelude::*;
-use sightline_scene::{Scene, Triangle};
+use sightline_scene::{Scene, Triangle, TriangleId};
 
 use crate::atlas::Atlas;
 use crate::error::MOST_RECEIVERS;
-use crate::kept::area;
-use crate::overlap::Flat;
-use crate::parts::Parts;
+use crate::kept_coordinates::area;
+use crate::overlap::FlatTriangle;
+use crate::parts::PrimitiveInstances;
 use crate::receivers::Receiver;
 use crate::welds::cross;
 
-/// A receiver, its texel and its area.
+/// The part of a triangle within one texel.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+struct TexelPiece {
     receiver: Receiver,
+    /// The index of the texel, row by row from the upper left corner of the image.
     texel: u32,
+    /// The area of the piece on the surface, in squared units of the scene.
     weight: f64,
 }
 
-/// Receivers, and for each the texel and the area.
+/// The receivers of a texture, with the texel and the area of each.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Pieces {
-    /// The receivers.
+pub(crate) struct TexelPieces {
+    /// The receivers, one for each piece.
     pub receivers: Vec<Receiver>,
-    /// The texel of each, row by row from the upper left corner.
+    /// The index of each receiver's texel, row by row from the upper left corner of the image.
     pub texels: Vec<u32>,
-    /// The area of each, in units of the scene.
+    /// The area of each receiver's piece on the surface, in squared units of the scene.
     pub weights: Vec<f64>,
 }
 
-/// Pieces with less area in the image, in texels, count for nothing.
+/// Minimum area of a piece in the image, in squared texels. Smaller pieces are ignored.
 const SMALLEST: f64 = 1e-9;
-/// Triangles whose pieces are made at a time.
+/// The number of triangles whose pieces are computed in one step.
 const AT_ONCE: usize = 4096;
 
-/// The pieces of all parts, in the order of triangles; none if there are too many.
-pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Pieces> {
-    let mut all = Pieces::default();
+/// Computes the pieces of all primitives, in the order of the scene's triangles. Returns `None` if there are
+/// more pieces than [`MOST_RECEIVERS`].
+pub(crate) fn pieces(
+    scene: &Scene,
+    parts: &PrimitiveInstances,
+    atlas: &Atlas,
+) -> Option<TexelPieces> {
+    let mut all = TexelPieces::default();
     for part in &parts.all {
         let triangles = &scene.triangles()[part.first as usize..][..part.corners.len()];
         for (chunk, first) in triangles
             .chunks(AT_ONCE)
             .zip((part.first..).step_by(AT_ONCE))
         {
-            let made: Vec<Vec<Piece>> = chunk
+            let made: Vec<Vec<TexelPiece>> = chunk
                 .par_iter()
                 .zip(first..first + chunk.len() as u32)
                 .map(|(triangle, id)| {
@@ -73,14 +80,17 @@ pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Piec
     Some(all)
 }
 
-/// The pieces of a triangle of the scene, at `flat` in the image.
+/// Computes the pieces of triangle `id` of the scene.
+///
+/// `front` is 1, or -1 if the transform to world space mirrors. `flat` contains the triangle's corners in the
+/// image, and `size` is the width and height of the image, both in texels.
 fn of_triangle(
     triangle: &Triangle,
     id: u32,
     front: f64,
-    flat: &Flat,
+    flat: &FlatTriangle,
     size: [u32; 2],
-) -> Vec<Piece> {
+) -> Vec<TexelPiece> {
     let (whole, across) = (area(flat), cross(triangle));
     let surface = 0.5 * across.length();
     if triangle.is_degenerate() || whole == 0.0 || surface == 0.0 {
@@ -89,7 +99,7 @@ fn of_triangle(
     let normal = across.normalize() * front;
     let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
     let mut all = Vec::new();
-    let outline = Outline::of(flat);
+    let outline = Outline::from_triangle(flat);
     for y in cells(&outline, 1, size[1]) {
         let row = outline.between(1, y);
         for x in cells(&row, 0, size[0]) {
@@ -97,7 +107,8 @@ fn of_triangle(
             else {
                 continue;
             };
-            // Where the centre is in the triangle, by the areas that it divides the triangle into.
+            // The barycentric coordinates of the centre, from the areas of the three triangles into which the
+            // centre divides the triangle.
             let at =
                 |k: usize, l: usize| (area(&[flat[k], flat[l], centre]) / whole).clamp(0.0, 1.0);
             let (second, third) = (at(2, 0), at(0, 1));
@@ -106,10 +117,10 @@ fn of_triangle(
             let receiver = Receiver {
                 point,
                 normal,
-                triangle: id,
+                triangle: TriangleId(id),
             };
             let weight = surface * piece / (0.5 * whole.abs());
-            all.push(Piece {
+            all.push(TexelPiece {
                 receiver,
                 texel: y * size[0] + x,
                 weight,
@@ -119,17 +130,18 @@ fn of_triangle(
     all
 }
 
-/// The numbers of the texels that an outline touches along an axis.
+/// Returns the range of texel columns (axis 0) or texel rows (axis 1) that a polygon touches. `size` is the
+/// number of columns or rows of the image.
 fn cells(outline: &Outline, axis: usize, size: u32) -> std::ops::Range<u32> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for p in outline.points() {
         (low, high) = (low.min(p[axis]), high.max(p[axis]));
     }
-    // An empty outline has an empty range.
+    // A polygon without corners has an empty range.
     low.floor().max(0.0) as u32..(high.ceil().max(0.0) as u32).min(size)
 }
 
-/// A convex polygon: a triangle, cut by four lines at the most.
+/// A convex polygon in the image, in texels: a triangle, cut by at most four lines.
 #[derive(Clone, Copy)]
 struct Outline {
     corners: [[f64; 2]; 8],
@@ -137,7 +149,7 @@ struct Outline {
 }
 
 impl Outline {
-    fn of(flat: &Flat) -> Self {
+    fn from_triangle(flat: &FlatTriangle) -> Self {
         let mut corners = [[0.0; 2]; 8];
         corners[..3].copy_from_slice(flat);
         Self { corners, count: 3 }
@@ -147,20 +159,21 @@ impl Outline {
         &self.corners[..self.count]
     }
 
-    /// The part whose coordinate is between `cell` and the next number.
+    /// Returns the part of the polygon whose coordinate on `axis` is from `cell` to `cell` + 1.
     fn between(&self, axis: usize, cell: u32) -> Self {
         let low = f64::from(cell);
         self.cut(axis, low, 1.0).cut(axis, low + 1.0, -1.0)
     }
 
-    /// The part on one side of a line.
+    /// Returns the part of the polygon on one side of the line on which the coordinate on `axis` is `at`: the
+    /// side of larger coordinates if `side` is 1, or of smaller coordinates if `side` is -1.
     fn cut(&self, axis: usize, at: f64, side: f64) -> Self {
         let mut out = Self {
             corners: [[0.0; 2]; 8],
             count: 0,
         };
         let mut push = |p: [f64; 2]| {
-            // A convex polygon gains one corner by a cut; rounding may make it seem to gain more.
+            // A cut adds at most one corner to a convex polygon. If rounding adds more, drop them.
             if let Some(slot) = out.corners.get_mut(out.count) {
                 *slot = p;
                 out.count += 1;
@@ -183,7 +196,7 @@ impl Outline {
         out
     }
 
-    /// The area and its centre; none without an area.
+    /// Computes the area and the centroid of the polygon. Returns `None` if the area is 0.
     fn measure(&self) -> Option<(f64, [f64; 2])> {
         let points = self.points();
         let first = points.first()?;
@@ -192,7 +205,7 @@ impl Outline {
             let part = area(&[*first, pair[0], pair[1]]);
             total += part;
             for k in 0..2 {
-                // From the first corner on, so that little is lost far from the origin.
+                // Coordinates relative to the first corner keep their precision far from the origin.
                 sum[k] += part * (pair[0][k] + pair[1][k] - 2.0 * first[k]);
             }
         }
@@ -211,7 +224,7 @@ mod tests {
     use glam::Vec3;
 
     #[test]
-    fn pieces_have_the_area_and_the_centre_of_the_triangle() {
+    fn pieces_have_area_and_centroid_of_triangle() {
         let flat = [[0.3, 7.9], [11.7, 2.2], [5.1, 0.4]];
         let triangle = Triangle {
             v: flat.map(|[x, y]| Vec3::new(x as f32, 3.0, -y as f32)),

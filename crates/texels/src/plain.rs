@@ -1,27 +1,30 @@
-//! A glTF file of a scene that comes from another kind of file: a node and a mesh for each object, three own
-//! vertices for each triangle, so that each face can have values of its own.
+//! A glTF file for a scene from another file format. The file has a node and a mesh for each object, and
+//! three separate vertices for each triangle, so that each face can have separate values.
 
 use serde_json::json;
-use sightline_scene::{Aabb, Scene, Source};
+use sightline_scene::{Aabb, GltfLocation, Scene};
 
 use crate::TexelsError;
 use crate::accessor::FLOAT;
-use crate::added::ARRAY_BUFFER;
-use crate::file::File;
+use crate::added_accessors::ARRAY_BUFFER;
+use crate::file::GltfParts;
 
-/// The file, and where the objects of the scene are in it. Objects without triangles have meshes without
-/// primitives of them, which glTF cannot express, so they are left out.
-pub(crate) fn file_of(name: &str, scene: &Scene) -> Result<(File, Vec<Source>), TexelsError> {
+/// Creates the glTF file `name`, and the location of each object of the scene in the file. The file omits
+/// objects without triangles, because glTF requires that a mesh has a primitive.
+pub(crate) fn file_of(
+    name: &str,
+    scene: &Scene,
+) -> Result<(GltfParts, Vec<GltfLocation>), TexelsError> {
     let document = json!({
         "asset": { "version": "2.0", "generator": "sightline" },
         "scene": 0,
         "scenes": [{ "nodes": [] }],
     });
-    let mut file = File::read(name, &serde_json::to_vec(&document)?, None)?;
+    let mut file = GltfParts::read(name, &serde_json::to_vec(&document)?, None)?;
     let mut sources = Vec::with_capacity(scene.objects().len());
     let mut nodes = 0u32;
     for object in scene.objects() {
-        sources.push(Source {
+        sources.push(GltfLocation {
             node: nodes,
             mesh: nodes,
             primitive: 0,
@@ -30,7 +33,7 @@ pub(crate) fn file_of(name: &str, scene: &Scene) -> Result<(File, Vec<Source>), 
         if object.count == 0 {
             continue;
         }
-        // `Scene::new` checked that objects tile the triangles.
+        // `Scene::new` has checked that the objects cover the triangles without gaps.
         let triangles = &scene.triangles()[object.first as usize..][..object.count as usize];
         let bounds = triangles
             .iter()

@@ -1,108 +1,114 @@
-//! What a file needs: the receivers, and what is done with their values.
+//! The plan of a file: its receivers, and the conversion of their values to a texture or vertex attributes.
 
 use std::path::Path;
 
 use sightline_scene::{Scene, Triangle};
 
 use crate::TexelsError;
-use crate::atlas::{Atlas, Layout};
+use crate::atlas::{Atlas, AtlasLayout};
 use crate::error::MOST_SIDE;
-use crate::file::File;
-use crate::image::{Image, State};
-use crate::kept::{KeptCoordinates, area};
-use crate::overlap::Flat;
-use crate::parts::Parts;
-use crate::pieces::{Pieces, pieces};
-use crate::receivers::{Receiver, Value};
+use crate::file::GltfParts;
+use crate::image::{TexelImage, TexelState};
+use crate::kept_coordinates::{KeptCoordinates, area};
+use crate::overlap::FlatTriangle;
+use crate::parts::PrimitiveInstances;
+use crate::pieces::{TexelPieces, pieces};
+use crate::receivers::{Receiver, ReceiverValue};
 use crate::seams::{Seam, close, seams};
-use crate::settings::{self, Settings, Size, Target};
+use crate::settings::{self, Settings, TextureSize, ValueTarget};
 use crate::unwrap::unwrap;
 use crate::vertices::Unknowns;
-use crate::written::{with_texture, with_vertices};
+use crate::written_file::{with_texture, with_vertices};
 use crate::{fill, fit, plain};
 
-/// Rings of texels that are filled before seams are closed, which reach one texel far.
+/// The number of rings of texels that are filled before UV seams are closed. Closing changes texels up to one
+/// texel outside a chart.
 const FIRST_RINGS: usize = 2;
-/// Rings in all. What is farther from any chart is filled more coarsely.
+/// The number of rings of texels around charts that are filled ring by ring. Texels farther from any chart
+/// get values from coarse images.
 const RINGS: usize = 8;
 
-/// A file, the points whose values it needs, and how values get into it.
+/// The plan of one file: the receivers that need a value, and the method of writing the values into the file.
 #[derive(Debug)]
 pub struct Plan<'a> {
-    file: File,
+    file: GltfParts,
     scene: &'a Scene,
-    parts: Parts,
+    parts: PrimitiveInstances,
     settings: Settings,
     receivers: Vec<Receiver>,
-    way: Way,
+    way: WriteMethod,
     notes: Vec<String>,
 }
 
-/// How values get into the file.
+/// The method of writing values into the file.
 #[derive(Debug)]
-enum Way {
-    /// By texels: of each receiver the texel and the area.
+enum WriteMethod {
+    /// A texture: the layout of the image, the texel index and area of each receiver, and the UV seams.
     Texture {
         atlas: Atlas,
         texels: Vec<u32>,
         weights: Vec<f64>,
         seams: Vec<Seam>,
     },
-    /// By vertices.
+    /// Vertex attributes, with one unknown for each group of vertices that share a value.
     Vertices(Unknowns),
 }
 
-/// A file with values.
+/// A written file with values.
 #[derive(Clone, Debug)]
-pub struct Written {
+pub struct WrittenFile {
     /// The bytes of the GLB.
     pub glb: Vec<u8>,
-    /// What is in it.
-    pub facts: Facts,
-    /// What a user should know, in sentences.
+    /// The counts of written elements.
+    pub facts: WriteSummary,
+    /// Messages for the user about the written file.
     pub notes: Vec<String>,
 }
 
-/// What was written.
+/// The counts of written elements. A primitive counts once for each node that uses its mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Facts {
-    /// Width of the image in texels; 0 without one.
+pub struct WriteSummary {
+    /// The width of the image in texels, or 0 without an image.
     pub width: u32,
-    /// Its height.
+    /// The height of the image in texels, or 0 without an image.
     pub height: u32,
-    /// Texels with values of their own.
+    /// The number of texels with values from their own receivers.
     pub texels: usize,
-    /// Texels that only have receivers inside of closed solids, and took values of their neighbours.
+    /// The number of texels whose receivers are all inside closed solids. These texels get values of other
+    /// texels.
     pub inside: usize,
-    /// Texels outside of all charts, which were filled.
+    /// The number of texels outside all charts. These texels get values of other texels.
     pub dilated: usize,
-    /// UV seams that were closed.
+    /// The number of closed UV seams: edges at which texels were changed so that both sides agree.
     pub seams: usize,
-    /// Primitives whose texture coordinates stayed.
+    /// The number of primitives with unchanged texture coordinates.
     pub kept: usize,
-    /// Primitives with texture coordinates of their own that were moved to a place of their own.
+    /// The number of primitives whose existing texture coordinates were moved to a separate square of the
+    /// image.
     pub moved: usize,
-    /// Primitives with new texture coordinates.
+    /// The number of primitives with new texture coordinates.
     pub unwrapped: usize,
-    /// Charts of new texture coordinates.
+    /// The number of charts of new texture coordinates.
     pub charts: u32,
-    /// Vertices with a value.
+    /// The number of vertices with a value.
     pub vertices: usize,
-    /// Materials that were added.
+    /// The number of added materials.
     pub materials: usize,
-    /// Occlusion textures that were replaced.
+    /// The number of materials whose occlusion texture was replaced.
     pub replaced: usize,
-    /// Primitives whose `COLOR_0` stayed.
+    /// The number of primitives with an unchanged `COLOR_0`.
     pub colors_kept: usize,
 }
 
 impl<'a> Plan<'a> {
-    /// The plan for a file. `name` appears in errors, `base` is the folder of the file, and `scene` what
-    /// the loader of scenes made of its bytes. For a scene that is not from a glTF file a file is made,
-    /// with a node and a mesh for each object.
+    /// Creates the plan for a file.
+    ///
+    /// `name` is the name of the file in errors, `bytes` is its content, `base` is its folder, and `scene` is
+    /// the scene that the loader read from `bytes`. For a scene from another format than glTF, the plan
+    /// creates a glTF file with a node and a mesh for each object.
     ///
     /// # Errors
-    /// [`TexelsError`] when the file cannot take values, or the settings are out of range.
+    /// [`TexelsError`] if values cannot be added to the file, or the settings are out of range.
     pub fn new(
         name: &str,
         bytes: &[u8],
@@ -114,31 +120,36 @@ impl<'a> Plan<'a> {
         let (file, sources) = if scene.sources().is_empty() {
             plain::file_of(name, scene)?
         } else {
-            (File::read(name, bytes, base)?, scene.sources().to_vec())
+            (
+                GltfParts::read(name, bytes, base)?,
+                scene.sources().to_vec(),
+            )
         };
-        let parts = Parts::of(&file, scene, &sources)?;
+        let parts = PrimitiveInstances::new(&file, scene, &sources)?;
         let mut notes = Vec::new();
         let too_many = || TexelsError::TooManyPoints {
             file: name.to_owned(),
         };
-        let (receivers, way): (Vec<Receiver>, Way) = match settings.target {
-            Target::Texture => {
+        let (receivers, way): (Vec<Receiver>, WriteMethod) = match settings.target {
+            ValueTarget::Texture => {
                 let atlas = atlas(&file, scene, &parts, settings, &mut notes)?;
                 if (1..4).contains(&atlas.gap) {
                     notes.push(format!(
-                        "only {} texels are left between charts: give a larger --resolution for more room",
+                        "only {} texels separate the charts of the image; use a larger --resolution \
+                         or --texel for wider gaps",
                         2 * atlas.gap
                     ));
                 }
-                let thin = |t: &Triangle, flat: &Flat| area(flat) == 0.0 && !t.is_degenerate();
+                let thin =
+                    |t: &Triangle, flat: &FlatTriangle| area(flat) == 0.0 && !t.is_degenerate();
                 let both = scene.triangles().iter().zip(&atlas.triangles);
                 let thin = both.filter(|(t, flat)| thin(t, flat)).count();
                 if thin > 0 {
                     notes.push(format!(
-                        "{thin} triangles are too thin to have a place in the image"
+                        "{thin} triangles are too thin to have an area in the image"
                     ));
                 }
-                let Pieces {
+                let TexelPieces {
                     receivers,
                     texels,
                     weights,
@@ -146,7 +157,7 @@ impl<'a> Plan<'a> {
                 let seams = seams(scene, &parts, &atlas);
                 (
                     receivers,
-                    Way::Texture {
+                    WriteMethod::Texture {
                         atlas,
                         texels,
                         weights,
@@ -154,9 +165,12 @@ impl<'a> Plan<'a> {
                     },
                 )
             }
-            Target::Vertices => {
-                let unknowns = Unknowns::of(&file, scene, &parts)?.ok_or_else(too_many)?;
-                (unknowns.receivers(scene, &parts), Way::Vertices(unknowns))
+            ValueTarget::Vertices => {
+                let unknowns = Unknowns::from_parts(&file, scene, &parts)?.ok_or_else(too_many)?;
+                (
+                    unknowns.receivers(scene, &parts),
+                    WriteMethod::Vertices(unknowns),
+                )
             }
         };
         if receivers.is_empty() {
@@ -175,30 +189,30 @@ impl<'a> Plan<'a> {
         })
     }
 
-    /// The points whose values are asked for.
+    /// Returns the receivers, for which the caller computes values.
     pub fn receivers(&self) -> &[Receiver] {
         &self.receivers
     }
 
-    /// What a user should know of the plan, in sentences.
+    /// Returns messages for the user about the plan.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The width and height of the image in texels, if there will be one.
+    /// Returns the width and height of the image in texels, or `None` for values at vertices.
     pub fn image_size(&self) -> Option<[u32; 2]> {
         match &self.way {
-            Way::Texture { atlas, .. } => Some(atlas.size),
-            Way::Vertices(_) => None,
+            WriteMethod::Texture { atlas, .. } => Some(atlas.size),
+            WriteMethod::Vertices(_) => None,
         }
     }
 
-    /// The file with these values, one for each receiver in their order.
+    /// Writes the file with these values: one value for each receiver, in the order of [`Plan::receivers`].
     ///
     /// # Errors
-    /// [`TexelsError`] when values are missing or out of range, or the result is too large for a GLB.
-    pub fn write(&self, values: &[Value]) -> Result<Written, TexelsError> {
-        let usable = |v: &&Value| v.inside || (0.0..=1.0).contains(&v.open);
+    /// [`TexelsError`] if values are missing or out of range, or the written file is too large for a GLB.
+    pub fn write(&self, values: &[ReceiverValue]) -> Result<WrittenFile, TexelsError> {
+        let usable = |v: &&ReceiverValue| v.inside || (0.0..=1.0).contains(&v.open);
         if values.len() != self.receivers.len() || !values.iter().all(|v| usable(&v)) {
             let values = values.iter().filter(usable).count();
             return Err(TexelsError::Values {
@@ -207,9 +221,9 @@ impl<'a> Plan<'a> {
             });
         }
         let mut file = self.file.clone();
-        let (mut facts, mut notes) = (Facts::default(), Vec::new());
+        let (mut facts, mut notes) = (WriteSummary::default(), Vec::new());
         match &self.way {
-            Way::Texture {
+            WriteMethod::Texture {
                 atlas,
                 texels,
                 weights,
@@ -217,7 +231,11 @@ impl<'a> Plan<'a> {
             } => {
                 let given = values.iter().zip(texels.iter().zip(weights));
                 let given = given.map(|(v, (texel, weight))| (*texel, *weight, v.open, v.inside));
-                let image = filled(Image::of(atlas.size, given), seams, &mut facts);
+                let image = filled(
+                    TexelImage::from_samples(atlas.size, given),
+                    seams,
+                    &mut facts,
+                );
                 let png = image.png(self.settings.bits)?;
                 count_layouts(atlas, &mut facts);
                 let done = with_texture(&mut file, &self.parts, atlas, &png)?;
@@ -229,7 +247,7 @@ impl<'a> Plan<'a> {
                     ));
                 }
             }
-            Way::Vertices(unknowns) => {
+            WriteMethod::Vertices(unknowns) => {
                 let given: Vec<Option<f64>> = values
                     .iter()
                     .map(|v| (!v.inside).then_some(v.open))
@@ -245,13 +263,14 @@ impl<'a> Plan<'a> {
                 (facts.vertices, facts.colors_kept) = (done.vertices, done.colors_kept);
                 if done.colors_kept > 0 {
                     notes.push(format!(
-                        "{} primitives have a COLOR_0, which was kept: they have _OCCLUSION alone",
+                        "{} primitives already have a COLOR_0, which is unchanged: their occlusion \
+                         is only in _OCCLUSION",
                         done.colors_kept
                     ));
                 }
             }
         }
-        Ok(Written {
+        Ok(WrittenFile {
             glb: file.into_glb()?,
             facts,
             notes,
@@ -259,33 +278,38 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Refuses settings that are out of range.
+/// Checks that the size of the texture is in its range.
 fn check(settings: &Settings) -> Result<(), TexelsError> {
     match settings.size {
-        _ if settings.target == Target::Vertices => Ok(()),
-        Size::Texel(size) if !(size > 0.0 && size.is_finite()) => Err(TexelsError::Setting {
-            option: "--texel",
-            value: size.to_string(),
-            rule: "it must be more than 0, in units of the scene",
-        }),
-        Size::Resolution(side) if !(16..=MOST_SIDE).contains(&side) => Err(TexelsError::Setting {
-            option: "--resolution",
-            value: side.to_string(),
-            rule: "it must be from 16 to 16384 texels",
-        }),
+        _ if settings.target == ValueTarget::Vertices => Ok(()),
+        TextureSize::Texel(size) if !(size > 0.0 && size.is_finite()) => {
+            Err(TexelsError::Setting {
+                option: "--texel",
+                value: size.to_string(),
+                rule: "the side of a texel must be more than 0, in units of the scene",
+            })
+        }
+        TextureSize::Resolution(side) if !(16..=MOST_SIDE).contains(&side) => {
+            Err(TexelsError::Setting {
+                option: "--resolution",
+                value: side.to_string(),
+                rule: "the side of the image must be from 16 to 16384 texels",
+            })
+        }
         _ => Ok(()),
     }
 }
 
-/// The image of a file, by the texture coordinates that it has or by new ones.
+/// Creates the layout of the image from the file's `TEXCOORD_1` or from new texture coordinates, and adds a
+/// note for the user about the choice.
 fn atlas(
-    file: &File,
+    file: &GltfParts,
     scene: &Scene,
-    parts: &Parts,
+    parts: &PrimitiveInstances,
     settings: &Settings,
     notes: &mut Vec<String>,
 ) -> Result<Atlas, TexelsError> {
-    if settings.coordinates == settings::Coordinates::Unwrap {
+    if settings.coordinates == settings::TexCoordSource::Unwrap {
         return unwrap(file, scene, parts, settings.size);
     }
     match KeptCoordinates::read(file, scene, parts)? {
@@ -294,16 +318,16 @@ fn atlas(
             let moved = atlas
                 .layouts
                 .iter()
-                .any(|l| matches!(l, Layout::Moved { .. }));
+                .any(|l| matches!(l, AtlasLayout::Moved { .. }));
             notes.push(if moved {
-                "TEXCOORD_1 is used, moved so that parts have places of their own in one image"
+                "TEXCOORD_1 is used, moved so that each primitive has a separate square of the image"
                     .to_owned()
             } else {
-                "TEXCOORD_1 is used as it is".to_owned()
+                "TEXCOORD_1 is used unchanged".to_owned()
             });
             Ok(atlas)
         }
-        Err(why) if settings.coordinates == settings::Coordinates::Keep => {
+        Err(why) if settings.coordinates == settings::TexCoordSource::Keep => {
             let (element, reason) = (why.element, why.reason);
             Err(TexelsError::NotUsable {
                 file: file.name.clone(),
@@ -313,7 +337,7 @@ fn atlas(
         }
         Err(why) => {
             notes.push(format!(
-                "new texture coordinates are made: {}: {}",
+                "new texture coordinates are computed, because TEXCOORD_1 is unusable: {}: {}",
                 why.element, why.reason
             ));
             unwrap(file, scene, parts, settings.size)
@@ -321,11 +345,12 @@ fn atlas(
     }
 }
 
-/// The image without holes.
-fn filled(mut image: Image, seams: &[Seam], facts: &mut Facts) -> Image {
-    facts.texels = image.count(State::Own);
-    facts.inside = image.count(State::Inside);
-    facts.dilated = image.count(State::Empty);
+/// Closes the UV seams of the image and fills its empty texels. Writes the counts of texels and seams, and
+/// the size of the image, to `facts`.
+fn filled(mut image: TexelImage, seams: &[Seam], facts: &mut WriteSummary) -> TexelImage {
+    facts.texels = image.count(TexelState::Own);
+    facts.inside = image.count(TexelState::Inside);
+    facts.dilated = image.count(TexelState::Empty);
     facts.seams = seams.len();
     [facts.width, facts.height] = image.size.map(|n| n as u32);
     fill::rings(&mut image, FIRST_RINGS);
@@ -337,14 +362,14 @@ fn filled(mut image: Image, seams: &[Seam], facts: &mut Facts) -> Image {
     image
 }
 
-/// Counts what became of texture coordinates.
-fn count_layouts(atlas: &Atlas, facts: &mut Facts) {
+/// Counts the primitives in `facts` by the change of their texture coordinates.
+fn count_layouts(atlas: &Atlas, facts: &mut WriteSummary) {
     facts.charts = atlas.charts;
     for layout in &atlas.layouts {
         match layout {
-            Layout::Kept => facts.kept += 1,
-            Layout::Moved { .. } => facts.moved += 1,
-            Layout::New { .. } => facts.unwrapped += 1,
+            AtlasLayout::Kept => facts.kept += 1,
+            AtlasLayout::Moved { .. } => facts.moved += 1,
+            AtlasLayout::New { .. } => facts.unwrapped += 1,
         }
     }
 }

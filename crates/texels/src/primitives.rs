@@ -1,33 +1,35 @@
-//! Primitives with texture coordinates for the image.
+//! Changes of primitives: texture coordinates for the image, and added attributes.
 
 use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
 use crate::TexelsError;
-use crate::accessor::Elements;
-use crate::added;
-use crate::atlas::Layout;
-use crate::file::{File, member};
+use crate::accessor::CheckedElements;
+use crate::added_accessors;
+use crate::atlas::AtlasLayout;
+use crate::file::{GltfParts, member};
 use crate::materials::{numbers_of, uses_set};
-use crate::parts::{Part, primitive_of, put_primitive};
+use crate::parts::{PrimitiveInstance, primitive_of, put_primitive};
 
-/// The attributes of a primitive.
+/// Returns the attributes of a primitive.
 fn attributes(primitive: &mut Value) -> Option<&mut Map<String, Value>> {
     primitive
         .get_mut("attributes")
         .and_then(Value::as_object_mut)
 }
 
-/// Gives a primitive its texture coordinates, and returns the number of the set.
+/// Sets the texture coordinates of a primitive for the image, and returns the index N of their set
+/// `TEXCOORD_N`.
 ///
-/// That is `TEXCOORD_1`, unless a texture of its material uses what is there: then the next free one. glTF
-/// wants sets to be numbered from 0 on, so where there is no `TEXCOORD_0` it becomes the same.
+/// The set is `TEXCOORD_1`, or the next free set if a texture of the primitive's material uses the existing
+/// `TEXCOORD_1`. glTF requires that sets are numbered from 0. So if the set is `TEXCOORD_1` and `TEXCOORD_0`
+/// does not exist, `TEXCOORD_0` gets the same coordinates.
 pub(crate) fn with_coordinates(
-    file: &mut File,
+    file: &mut GltfParts,
     mesh: usize,
-    part: &Part,
-    layout: &Layout,
+    part: &PrimitiveInstance,
+    layout: &AtlasLayout,
 ) -> Result<usize, TexelsError> {
     let primitive = primitive_of(file, mesh, part.primitive);
     let mut primitive = primitive.cloned().unwrap_or(Value::Null);
@@ -35,26 +37,30 @@ pub(crate) fn with_coordinates(
         .get("attributes")
         .and_then(|a| member(a, "TEXCOORD_1"));
     let coordinates = match layout {
-        Layout::Kept => return Ok(1),
-        Layout::Moved { scale, offset } => {
+        AtlasLayout::Kept => return Ok(1),
+        AtlasLayout::Moved { scale, offset } => {
             let moved: Vec<[f32; 2]> = {
-                let elements = Elements::read(file, old.unwrap_or(usize::MAX))?;
+                let elements = CheckedElements::read(file, old.unwrap_or(usize::MAX))?;
                 let uv = |v: usize| {
-                    Layout::moved(*scale, *offset, [0, 1].map(|c| elements.number(v, c)))
+                    AtlasLayout::moved(*scale, *offset, [0, 1].map(|c| elements.number(v, c)))
                 };
                 (0..elements.count).map(uv).collect()
             };
-            added::coordinates(file, &moved)?
+            added_accessors::coordinates(file, &moved)?
         }
-        Layout::New { vertices, corners } => {
+        AtlasLayout::New { vertices, corners } => {
             let source_vertices: Vec<u32> = vertices.iter().map(|v| v.0).collect();
             let uv: Vec<[f32; 2]> = vertices.iter().map(|v| v.1).collect();
             gather(file, &mut primitive, &source_vertices)?;
-            primitive["indices"] = json!(added::indices(file, corners, source_vertices.len())?);
+            primitive["indices"] = json!(added_accessors::indices(
+                file,
+                corners,
+                source_vertices.len()
+            )?);
             if primitive.get("mode").is_some() {
                 primitive["mode"] = json!(4);
             }
-            added::coordinates(file, &uv)?
+            added_accessors::coordinates(file, &uv)?
         }
     };
     let used = old.is_some()
@@ -73,14 +79,19 @@ pub(crate) fn with_coordinates(
     Ok(set)
 }
 
-/// Copies vertices: all attributes and morph targets of the primitive.
-fn gather(file: &mut File, primitive: &mut Value, of: &[u32]) -> Result<(), TexelsError> {
+/// Replaces the accessors of a primitive's attributes and morph targets by accessors with copies of the
+/// vertices whose indices `elements` lists.
+fn gather(
+    file: &mut GltfParts,
+    primitive: &mut Value,
+    elements: &[u32],
+) -> Result<(), TexelsError> {
     let mut known: BTreeMap<usize, usize> = BTreeMap::new();
     let mut replace = |value: &mut Value| -> Result<(), TexelsError> {
         if let Some(accessor) = value.as_u64().and_then(|n| usize::try_from(n).ok()) {
             let new = match known.get(&accessor) {
                 Some(new) => *new,
-                None => added::gathered(file, accessor, of)?,
+                None => added_accessors::gathered(file, accessor, elements)?,
             };
             known.insert(accessor, new);
             *value = json!(new);
@@ -103,10 +114,11 @@ fn gather(file: &mut File, primitive: &mut Value, of: &[u32]) -> Result<(), Texe
     all.into_iter().try_for_each(&mut replace)
 }
 
-/// Gives a primitive one attribute more.
+/// Sets attribute `name` of a primitive to the accessor with index `accessor`.
 pub(crate) fn put_attribute(
-    file: &mut File,
-    (mesh, primitive): (usize, usize),
+    file: &mut GltfParts,
+    mesh: usize,
+    primitive: usize,
     name: &str,
     accessor: usize,
 ) -> Result<(), TexelsError> {

@@ -1,24 +1,25 @@
-//! The points whose values are asked for, and the values.
+//! Receivers: the surface points that need a value, and their values.
 
 use glam::DVec3;
+use sightline_scene::TriangleId;
 
-/// A point of the surface whose value is asked for.
+/// A point of the surface for which the caller computes a value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Receiver {
-    /// The point, in world space.
+    /// The position of the receiver in world space, in units of the scene.
     pub point: DVec3,
-    /// The normal of its triangle, of length 1, on the side of its front: that from which it is wound
-    /// counter-clockwise, or clockwise where a transform mirrors (glTF 2.0, section 3.7.4).
+    /// The unit normal of the triangle, on the side of its front. The front is the side from which the
+    /// triangle is wound counter-clockwise, or clockwise if a transform mirrors (glTF 2.0, section 3.7.4).
     pub normal: DVec3,
-    /// The triangle of the scene.
-    pub triangle: u32,
+    /// The id of the triangle in the scene.
+    pub triangle: TriangleId,
 }
 
 /// The value of a receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Value {
-    /// The value, from 0 to 1.
+pub struct ReceiverValue {
+    /// The value, from 0 (dark) to 1 (bright).
     pub open: f64,
-    /// Whether the receiver is inside of a closed solid, where nobody can be: its value counts for nothing.
+    /// True if the receiver is inside a closed solid, where no viewer can be. The value is then ignored.
     pub inside: bool,
 }

@@ -1,48 +1,49 @@
-//! What a user may choose about where values go.
+//! The settings of a plan.
 
-/// Where the values go.
+/// The destination of the values in the written file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Target {
-    /// Into a texture, as `occlusionTexture` of the materials.
+pub enum ValueTarget {
+    /// A texture, as `occlusionTexture` of the materials.
     #[default]
     Texture,
-    /// To the vertices, as `_OCCLUSION` and `COLOR_0`.
+    /// The vertices, as `_OCCLUSION` and `COLOR_0`.
     Vertices,
 }
 
-/// How fine the texture is.
+/// The resolution of the texture.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Size {
+pub enum TextureSize {
     /// The side of a texel, in units of the scene.
     Texel(f64),
     /// The side of the image, in texels.
     Resolution(u32),
 }
 
-/// Which texture coordinates the texture has.
+/// The source of the texture coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Coordinates {
-    /// `TEXCOORD_1` where all of the file can be used, else new ones.
+pub enum TexCoordSource {
+    /// `TEXCOORD_1` if the coordinates of all primitives are usable, otherwise new coordinates for all
+    /// primitives.
     #[default]
     Any,
-    /// `TEXCOORD_1`, or an error.
+    /// `TEXCOORD_1`, or an error if the coordinates of a primitive are unusable.
     Keep,
-    /// New ones.
+    /// New coordinates, even if the file has usable coordinates.
     Unwrap,
 }
 
-/// Bits of a value in the image or in a vertex colour.
+/// The number of bits of a value in the image or in a vertex colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Bits {
-    /// 256 values.
+pub enum BitDepth {
+    /// Eight bits: 256 values.
     #[default]
     Eight,
-    /// 65 536 values.
+    /// Sixteen bits: 65 536 values.
     Sixteen,
 }
 
-impl Bits {
-    /// The largest value.
+impl BitDepth {
+    /// Returns the largest integer with this number of bits.
     pub(crate) fn largest(self) -> f64 {
         match self {
             Self::Eight => 255.0,
@@ -51,27 +52,27 @@ impl Bits {
     }
 }
 
-/// All choices.
+/// The settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Where the values go.
-    pub target: Target,
-    /// How fine the texture is. Not used for vertices.
-    pub size: Size,
-    /// Which texture coordinates the texture has. Not used for vertices.
-    pub coordinates: Coordinates,
-    /// Bits of a value.
-    pub bits: Bits,
+    /// The destination of the values.
+    pub target: ValueTarget,
+    /// The resolution of the texture. Not used for vertices.
+    pub size: TextureSize,
+    /// The source of the texture coordinates. Not used for vertices.
+    pub coordinates: TexCoordSource,
+    /// The number of bits of a value.
+    pub bits: BitDepth,
 }
 
 impl Default for Settings {
-    /// A texture of 1024 texels a side and 8 bits.
+    /// Returns the settings of a texture with a side of 1024 texels and 8 bits per value.
     fn default() -> Self {
         Self {
-            target: Target::default(),
-            size: Size::Resolution(1024),
-            coordinates: Coordinates::default(),
-            bits: Bits::default(),
+            target: ValueTarget::default(),
+            size: TextureSize::Resolution(1024),
+            coordinates: TexCoordSource::default(),
+            bits: BitDepth::default(),
         }
     }
 }

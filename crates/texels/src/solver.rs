@@ -3,9 +3,11 @@
 
 use std::cmp::Ordering;
 
-/// Solves A·x = b for a symmetric positive definite A, from the x that is given, until the remainder is
-/// `tolerance` of what it was against x = 0, or for `most` steps. `apply` writes A·v for a v; `diagonal` is
-/// that of A.
+/// Solves A·x = b for a symmetric positive definite A, starting from the given `x`.
+///
+/// Stops when the norm of the residual b − A·x is at most `tolerance` times the norm for x = 0, or after
+/// `most` steps. The norm weights squares by the inverse of `diagonal`, the diagonal of A. `apply` writes A·v
+/// for a vector v.
 pub(crate) fn solve(
     apply: impl Fn(&[f64], &mut [f64]),
     diagonal: &[f64],
@@ -29,7 +31,7 @@ pub(crate) fn solve(
     let mut left = dot(&r, &z);
     let mut p = z.clone();
     for _ in 0..most {
-        // Neither is more than the other when the values are not numbers.
+        // Comparisons with NaN do not return `Greater`, so NaN also ends the loop.
         if left.partial_cmp(&goal) != Some(Ordering::Greater) {
             return;
         }
@@ -55,8 +57,8 @@ pub(crate) fn solve(
 #[cfg(test)]
 mod tests {
     #[test]
-    fn a_chain_is_solved() {
-        // 2 on the diagonal, -1 beside it.
+    fn solves_chain() {
+        // The matrix has 2 on the diagonal, and -1 next to it.
         let n = 50;
         let apply = |v: &[f64], out: &mut [f64]| {
             for i in 0..n {

@@ -1,33 +1,33 @@
-//! New texture coordinates, by the crate `uvunwrap`: charts of each part, which are packed into one image
-//! here.
+//! New texture coordinates: the crate `uvunwrap` divides each primitive into charts, and this module packs
+//! the charts into one image.
 //!
-//! The crate's own packing takes minutes for a hundred thousand charts. So it packs them once, small and
-//! without gaps, and the charts are taken from that. Triangles that are too thin for coordinates in single
-//! precision get no area, and no texels.
+//! The packing of `uvunwrap` needs minutes for a hundred thousand charts. So `uvunwrap` packs the charts
+//! once, small and without gaps, into an image called the page, and this module reads the charts from the
+//! page. Triangles that are too thin for coordinates in single precision get neither area nor texels.
 
 use glam::Vec3;
 use sightline_scene::Scene;
 use uvunwrap::{Density, MeshInput, Options, OutputMesh, Packing};
 
 use crate::TexelsError;
-use crate::atlas::{Atlas, Layout, in_texels};
+use crate::atlas::{Atlas, AtlasLayout, in_texels};
 use crate::error::MOST_SIDE;
-use crate::file::File;
-use crate::overlap::Flat;
+use crate::file::GltfParts;
+use crate::overlap::FlatTriangle;
 use crate::pack::{Packed, pack};
-use crate::parts::{Part, Parts};
-use crate::settings::Size;
+use crate::parts::{PrimitiveInstance, PrimitiveInstances};
+use crate::settings::TextureSize;
 use crate::welds::cross;
 
-/// Texels of all charts when the crate packs them: few, so that it is fast.
+/// The total number of texels of all charts on the page of `uvunwrap`. Few texels make packing fast.
 const SMALL: f64 = 262_144.0;
 
-/// New texture coordinates for all parts.
+/// Creates new texture coordinates for all primitives in `parts`.
 pub(crate) fn unwrap(
-    file: &File,
+    file: &GltfParts,
     scene: &Scene,
-    parts: &Parts,
-    size: Size,
+    parts: &PrimitiveInstances,
+    size: TextureSize,
 ) -> Result<Atlas, TexelsError> {
     let area: f64 = scene
         .triangles()
@@ -39,9 +39,9 @@ pub(crate) fn unwrap(
             file: file.name.clone(),
         });
     }
-    if let Size::Texel(texel) = size {
+    if let TextureSize::Texel(texel) = size {
         let texels = area / (texel * texel);
-        // Not a number where the size of a texel is next to nothing.
+        // `texels` is not finite if the side of a texel is nearly 0.
         if texels.partial_cmp(&f64::from(MOST_SIDE).powi(2)) != Some(std::cmp::Ordering::Less) {
             return Err(TexelsError::TooManyTexels {
                 file: file.name.clone(),
@@ -50,10 +50,10 @@ pub(crate) fn unwrap(
         }
     }
     let factor = factor(scene);
-    let inputs: Vec<Input> = parts
+    let inputs: Vec<ChartInput> = parts
         .all
         .iter()
-        .map(|part| Input::of(scene, part, factor))
+        .map(|part| ChartInput::new(scene, part, factor))
         .collect();
     let meshes: Vec<MeshInput<'_>> = inputs
         .iter()
@@ -81,28 +81,29 @@ pub(crate) fn unwrap(
         scene,
         parts,
         &made.meshes,
-        (&charts, page),
+        &charts,
+        page,
         &packed,
         &inputs,
     ))
 }
 
-/// A part's geometry for the crate.
-struct Input {
-    /// The part's vertices that its triangles use, in increasing order.
+/// The geometry of a primitive as input of `uvunwrap`.
+struct ChartInput {
+    /// The indices of the primitive's vertices that its triangles use, in increasing order.
     used: Vec<u32>,
-    /// Their positions, times a factor.
+    /// The positions of the vertices in `used`, times the factor of [`factor`].
     positions: Vec<[f32; 3]>,
-    /// The corners of the triangles as places in these lists.
+    /// The corners of the triangles, as indices into `used` and `positions`.
     indices: Vec<u32>,
 }
 
-impl Input {
-    fn of(scene: &Scene, part: &Part, factor: f32) -> Self {
+impl ChartInput {
+    fn new(scene: &Scene, part: &PrimitiveInstance, factor: f32) -> Self {
         let mut used: Vec<u32> = part.corners.iter().flatten().copied().collect();
         used.sort_unstable();
         used.dedup();
-        // Every corner is in the list.
+        // `used` contains the vertex of every corner, so the search succeeds.
         let place = |v: &u32| used.binary_search(v).unwrap_or(0) as u32;
         let indices: Vec<u32> = part.corners.iter().flatten().map(place).collect();
         let mut positions = vec![[0.0; 3]; used.len()];
@@ -120,17 +121,17 @@ impl Input {
     }
 }
 
-/// A power of two that coordinates are multiplied with, so that those of no scene leave the range of single
-/// precision on the way.
+/// Returns a power of two that scales the scene's coordinates to at most 1, so that the intermediate results
+/// of `uvunwrap` stay within the range of single precision.
 fn factor(scene: &Scene) -> f32 {
     let bounds = scene.bounds();
     let largest = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element());
-    // From the bits of its exponent: platforms differ in their logarithms.
+    // Use the bits of the exponent, because logarithms differ between platforms.
     let exponent = ((largest.to_bits() >> 52) as i64 - 1022).clamp(-126, 126);
     f64::from_bits(((1023 - exponent) as u64) << 52) as f32
 }
 
-/// The box of a chart on the crate's page, in units of the scene.
+/// The bounding rectangle of a chart on the page of `uvunwrap`, in units of the scene.
 #[derive(Clone, Copy, Debug)]
 struct Chart {
     min: [f64; 2],
@@ -138,13 +139,15 @@ struct Chart {
 }
 
 impl Chart {
-    /// Width and height, as the chart will lie: rows are filled best by what is wider than high.
+    /// Returns the width and height of the chart in the packed image, in units of the scene. The width is the
+    /// longer side, because wide rectangles fill rows best.
     fn size(&self) -> [f64; 2] {
         let [x, y] = [0, 1].map(|k| (self.max[k] - self.min[k]).max(0.0));
         [x.max(y), x.min(y)]
     }
 
-    /// A place of the page from the chart's corner on, turned by a quarter if the chart stands.
+    /// Converts a position on the page to a position relative to the chart's upper left corner in the packed
+    /// image. If the chart is higher than wide, this function rotates the chart by a quarter turn.
     fn local(&self, at: [f64; 2]) -> [f64; 2] {
         if self.max[0] - self.min[0] >= self.max[1] - self.min[1] {
             [at[0] - self.min[0], at[1] - self.min[1]]
@@ -154,12 +157,13 @@ impl Chart {
     }
 }
 
-/// A place on the page in units of the scene.
+/// Converts texture coordinates of `uvunwrap` to a position on its page, in units of the scene. `page` is the
+/// width and height of the page in these units.
 fn on_page(uv: [f32; 2], page: [f64; 2]) -> [f64; 2] {
     [0, 1].map(|k| f64::from(uv[k]) * page[k])
 }
 
-/// The boxes of all charts.
+/// Computes the bounding rectangles of all `count` charts on the page.
 fn charts(meshes: &[OutputMesh], page: [f64; 2], count: usize) -> Vec<Chart> {
     let mut all = vec![
         Chart {
@@ -178,16 +182,17 @@ fn charts(meshes: &[OutputMesh], page: [f64; 2], count: usize) -> Vec<Chart> {
     all
 }
 
-/// The image: each chart at its place.
+/// Creates the atlas from the charts' positions on the page and in the packed image.
 fn atlas(
     scene: &Scene,
-    parts: &Parts,
+    parts: &PrimitiveInstances,
     meshes: &[OutputMesh],
-    (charts, page): (&[Chart], [f64; 2]),
+    charts: &[Chart],
+    page: [f64; 2],
     packed: &Packed,
-    inputs: &[Input],
+    inputs: &[ChartInput],
 ) -> Atlas {
-    let mut triangles = vec![Flat::default(); scene.len() as usize];
+    let mut triangles = vec![FlatTriangle::default(); scene.len() as usize];
     let mut layouts = Vec::with_capacity(parts.all.len());
     for ((part, mesh), input) in parts.all.iter().zip(meshes).zip(inputs) {
         let placed = |chart: Option<u32>, uv: [f32; 2]| -> [f32; 2] {
@@ -208,7 +213,7 @@ fn atlas(
         for (t, at) in own.iter_mut().zip(&corners) {
             *t = at.map(|v| in_texels(vertices[v as usize].1, packed.size));
         }
-        layouts.push(Layout::New { vertices, corners });
+        layouts.push(AtlasLayout::New { vertices, corners });
     }
     Atlas {
         size: packed.size,

@@ -1,63 +1,67 @@
-//! The unknowns of values at vertices, and the receivers that they are fitted to.
+//! The unknown values at vertices, and the receivers to which the values are fitted.
 //!
-//! Vertices of one node that have the same position and the same normal share a value, whatever else tells
-//! them apart, so seams of texture coordinates are not seen. A vertex that faces share in the file has one
-//! value.
+//! If a primitive has normals, the vertices of one mesh instance with the same position and the same normal
+//! share a value, even if other attributes differ, so seams of texture coordinates are invisible. A vertex
+//! that several faces share in the file has one value.
 
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 
 use crate::TexelsError;
-use crate::accessor::Elements;
-use crate::file::{File, member};
-use crate::parts::{Part, Parts, primitive_of};
+use crate::accessor::CheckedElements;
+use crate::file::{GltfParts, member};
+use crate::parts::{PrimitiveInstance, PrimitiveInstances, primitive_of};
 use crate::receivers::Receiver;
 use crate::welds::{cross, places};
 
-/// A value that no vertex of a triangle has.
+/// The entry of [`VertexSet::unknowns`] for a vertex without a triangle, which has no unknown.
 pub(crate) const NONE: u32 = u32::MAX;
 
-/// The vertices of an accessor of positions, as a node has them.
+/// The vertices of one accessor of positions in one mesh instance.
 #[derive(Clone, Debug)]
-pub(crate) struct Set {
-    /// The unknown of each vertex, or [`NONE`].
+pub(crate) struct VertexSet {
+    /// The index of the unknown of each vertex, or [`NONE`].
     pub unknowns: Vec<u32>,
 }
 
-/// All unknowns.
+/// The unknowns of all primitives: one value for each group of vertices that share a value.
 #[derive(Clone, Debug)]
 pub(crate) struct Unknowns {
-    /// Number of unknowns.
+    /// The number of unknowns.
     pub count: usize,
-    /// The unknowns of each triangle of the scene.
+    /// The indices of the unknowns at the corners of each triangle of the scene.
     pub corners: Vec<[u32; 3]>,
-    /// Sets of vertices.
-    pub sets: Vec<Set>,
-    /// The set of each part.
+    /// The sets of vertices, in the order in which primitives first use them.
+    pub sets: Vec<VertexSet>,
+    /// The index of each primitive's set in `sets`.
     pub set_of: Vec<usize>,
-    /// In how many parts each edge of a triangle is divided for its receivers.
+    /// For each triangle, the number of equal parts into which each edge is divided, from 0 to 8. The number
+    /// of the triangle's receivers is the square.
     pub divisions: Vec<u8>,
 }
 
-/// What tells unknowns apart: node, place and normal, or set and vertex.
-type Key = (usize, u32, [u32; 3], bool);
+/// The key of an unknown. With normals: mesh instance, position number, bits of the normal, `true`. Without
+/// normals: vertex set, vertex, zeros, `false`.
+type UnknownKey = (usize, u32, [u32; 3], bool);
 
-/// Most vertices of all sets.
+/// Maximum number of vertices of all sets.
 const MOST_VERTICES: u64 = 1 << 28;
 
 impl Unknowns {
-    /// The unknowns of the parts of a file; none if there are too many vertices.
-    pub(crate) fn of(
-        file: &File,
+    /// Numbers the unknowns of the primitives of a file. Returns `None` if the vertex sets together have more
+    /// than 2²⁸ vertices.
+    pub(crate) fn from_parts(
+        file: &GltfParts,
         scene: &Scene,
-        parts: &Parts,
+        parts: &PrimitiveInstances,
     ) -> Result<Option<Self>, TexelsError> {
         let places = places(scene.triangles());
         let mut numbers: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        let (mut keys, mut set_of): (Vec<Vec<Option<Key>>>, Vec<usize>) = (Vec::new(), Vec::new());
+        let (mut keys, mut set_of): (Vec<Vec<Option<UnknownKey>>>, Vec<usize>) =
+            (Vec::new(), Vec::new());
         let mut total = 0u64;
         for part in &parts.all {
             let mut new = false;
@@ -91,15 +95,15 @@ impl Unknowns {
                 }
             }
         }
-        let mut all: Vec<Key> = keys.iter().flatten().flatten().copied().collect();
+        let mut all: Vec<UnknownKey> = keys.iter().flatten().flatten().copied().collect();
         all.sort_unstable();
         all.dedup();
-        let number = |key: &Option<Key>| {
+        let number = |key: &Option<UnknownKey>| {
             key.map_or(NONE, |k| all.binary_search(&k).map_or(NONE, |i| i as u32))
         };
-        let sets: Vec<Set> = keys
+        let sets: Vec<VertexSet> = keys
             .par_iter()
-            .map(|k| Set {
+            .map(|k| VertexSet {
                 unknowns: k.iter().map(number).collect(),
             })
             .collect();
@@ -119,8 +123,8 @@ impl Unknowns {
         }))
     }
 
-    /// The receivers of all triangles, in their order.
-    pub(crate) fn receivers(&self, scene: &Scene, parts: &Parts) -> Vec<Receiver> {
+    /// Creates the receivers of all triangles, in the order of the triangles.
+    pub(crate) fn receivers(&self, scene: &Scene, parts: &PrimitiveInstances) -> Vec<Receiver> {
         let mut all =
             Vec::with_capacity(self.divisions.iter().map(|k| usize::from(*k).pow(2)).sum());
         for part in &parts.all {
@@ -133,7 +137,7 @@ impl Unknowns {
                 all.extend(points.map(|w| Receiver {
                     point: at(w),
                     normal,
-                    triangle: id,
+                    triangle: TriangleId(id),
                 }));
             }
         }
@@ -141,12 +145,13 @@ impl Unknowns {
     }
 }
 
-/// The normals of a part's vertices, if it has some.
+/// Reads the normals of a primitive's vertices. Returns `None` if the primitive has no normals with three
+/// components.
 fn normals<'a>(
-    file: &'a File,
-    parts: &Parts,
-    part: &Part,
-) -> Result<Option<Elements<'a>>, TexelsError> {
+    file: &'a GltfParts,
+    parts: &PrimitiveInstances,
+    part: &PrimitiveInstance,
+) -> Result<Option<CheckedElements<'a>>, TexelsError> {
     let primitive = primitive_of(file, parts.draws[part.draw].mesh, part.primitive);
     let accessor = primitive
         .and_then(|p| p.get("attributes"))
@@ -154,11 +159,12 @@ fn normals<'a>(
     let Some(accessor) = accessor else {
         return Ok(None);
     };
-    let elements = Elements::read(file, accessor)?;
+    let elements = CheckedElements::read(file, accessor)?;
     Ok(Some(elements).filter(|e| e.components == 3))
 }
 
-/// Four receivers for a triangle at the least, more for those larger than the mean; none without an area.
+/// Computes [`Unknowns::divisions`]. A triangle without area has no receivers. Other triangles have at least
+/// 4 receivers, and up to 64 receivers if the area of the triangle is larger than the mean.
 fn divisions(scene: &Scene) -> Vec<u8> {
     let areas: Vec<f64> = scene
         .triangles()
@@ -181,12 +187,14 @@ fn divisions(scene: &Scene) -> Vec<u8> {
     areas.iter().zip(flat).map(count_divisions).collect()
 }
 
-/// The middles of the k² equal parts of a triangle, as weights of its corners.
+/// Returns the centroids of the `k`² equal triangles into which a triangle is divided, as weights of its
+/// corners.
 pub(crate) fn samples(k: u8) -> impl Iterator<Item = [f64; 3]> {
     let n = f64::from(k);
     (0..k).flat_map(move |i| {
         (0..k - i).flat_map(move |j| {
-            // A part like the whole, and where there is room the one beside it, turned over.
+            // The triangle with the orientation of the whole triangle, and the neighbouring triangle with the
+            // reversed orientation, if the neighbour is inside the whole triangle.
             let turned = i + j + 1 < k;
             [(1.0 / 3.0, true), (2.0 / 3.0, turned)]
                 .into_iter()
@@ -204,7 +212,7 @@ mod tests {
     use super::samples;
 
     #[test]
-    fn samples_are_inside_and_have_the_middle_of_the_triangle() {
+    fn samples_are_inside_and_have_centroid_of_triangle() {
         for k in 0..9u8 {
             let all: Vec<[f64; 3]> = samples(k).collect();
             assert_eq!(all.len(), usize::from(k).pow(2));

@@ -1,25 +1,25 @@
-//! What stays as it was in the user's file, and what must differ from node to node.
+//! The parts of the user's file that stay unchanged, and the values that differ between nodes.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod support;
 
 use serde_json::{Value as Json, json};
-use sightline_texels::{Coordinates, Plan, Settings, Size, Target, Value};
+use sightline_texels::{Plan, ReceiverValue, Settings, TexCoordSource, TextureSize, ValueTarget};
 use support::{Maker, Read, add_cube, cube_primitive, scene, written};
 
 const TEXTURE: Settings = Settings {
-    target: Target::Texture,
-    size: Size::Resolution(64),
-    coordinates: Coordinates::Any,
-    bits: sightline_texels::Bits::Eight,
+    target: ValueTarget::Texture,
+    size: TextureSize::Resolution(64),
+    coordinates: TexCoordSource::Any,
+    bits: sightline_texels::BitDepth::Eight,
 };
 const VERTICES: Settings = Settings {
-    target: Target::Vertices,
+    target: ValueTarget::Vertices,
     ..TEXTURE
 };
 
-/// Two nodes with one mesh, and all that a file may have besides.
+/// Creates a file with two nodes that share one mesh, and with many optional elements.
 fn rich() -> Maker {
     let mut maker = Maker::new();
     let paint = maker.push(
@@ -58,7 +58,7 @@ fn rich() -> Maker {
 }
 
 #[test]
-fn everything_else_stays() {
+fn other_elements_stay_unchanged() {
     let maker = rich();
     for settings in [TEXTURE, VERTICES] {
         let made = written(&maker.glb(), &settings, |p, _| p.x / 4.0);
@@ -80,7 +80,7 @@ fn everything_else_stays() {
             expected["mesh"] = json!(n);
             assert_eq!(json["nodes"][n], expected);
         }
-        // The mesh was copied; both have what it had.
+        // The mesh was copied; both copies keep their original members.
         assert_eq!(json["meshes"].as_array().unwrap().len(), 2);
         for mesh in json["meshes"].as_array().unwrap() {
             assert_eq!((&mesh["name"], &mesh["extras"]), (&json!("box"), &json!(7)));
@@ -97,20 +97,20 @@ fn everything_else_stays() {
         let materials = json["materials"].as_array().unwrap();
         match settings.target {
             // The lines keep the material without a texture.
-            Target::Texture => {
+            ValueTarget::Texture => {
                 let mut copy = materials[1].clone();
                 assert_eq!(materials.len(), 2);
                 assert_eq!(copy["occlusionTexture"]["index"], 0);
                 copy.as_object_mut().unwrap().remove("occlusionTexture");
                 assert_eq!(copy, maker.json["materials"][0]);
             }
-            Target::Vertices => assert_eq!(materials.len(), 1),
+            ValueTarget::Vertices => assert_eq!(materials.len(), 1),
         }
     }
 }
 
 #[test]
-fn nodes_with_one_mesh_have_values_of_their_own() {
+fn nodes_with_shared_mesh_have_separate_values() {
     let glb = rich().glb();
     let read = Read::new(&written(&glb, &VERTICES, |p, _| p.x / 4.0).glb);
     for (mesh, shift) in [(0, 0.0), (1, 3.0)] {
@@ -136,13 +136,13 @@ fn nodes_with_one_mesh_have_values_of_their_own() {
 }
 
 #[test]
-fn coordinates_that_lie_upon_each_other_are_moved_apart() {
+fn overlapping_coordinates_are_moved_apart() {
     let mut maker = Maker::new();
     let positions = maker.floats("VEC3", &[0., 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 0.]);
     let uv = maker.floats("VEC2", &[0., 0., 1., 0., 0., 1., 1., 1.]);
     let indices = maker.indices(&[0, 1, 2, 2, 1, 3]);
     let attributes = json!({ "POSITION": positions, "TEXCOORD_0": uv, "TEXCOORD_1": uv });
-    // The second set is in use by a texture: it stays, and a third one is made.
+    // A texture uses the second set: the set stays, and a third set is created.
     let lightmap = json!({ "emissiveTexture": { "index": 0, "texCoord": 1 } });
     maker.push(
         "images",
@@ -159,7 +159,7 @@ fn coordinates_that_lie_upon_each_other_are_moved_apart() {
     maker.node(json!({ "mesh": mesh, "translation": [0, 0, 5], "scale": [3, 3, 3] }));
     maker.node(json!({ "mesh": other, "translation": [0, 0, 9] }));
     let settings = Settings {
-        coordinates: Coordinates::Keep,
+        coordinates: TexCoordSource::Keep,
         ..TEXTURE
     };
     let made = written(&maker.glb(), &settings, |p, _| p.z / 10.0);
@@ -183,7 +183,7 @@ fn coordinates_that_lie_upon_each_other_are_moved_apart() {
         read.attribute(0, 0, "TEXCOORD_1"),
         [0., 0., 1., 0., 0., 1., 1., 1.]
     );
-    // The larger square has three times as many texels a side.
+    // The larger square has three times as many texels per side.
     let side = |mesh: usize| {
         let uv = read.coordinates(mesh, 0);
         (uv[0][1][0] - uv[0][0][0]) * image.width as f64
@@ -214,7 +214,7 @@ fn instances_become_nodes() {
     maker.json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
     let glb = maker.glb();
     for settings in [TEXTURE, VERTICES] {
-        // `written` compares the triangles of both.
+        // `written` compares the triangles of both files.
         let made = written(&glb, &settings, |p, _| p.z / 8.0);
         let json = Read::new(&made.glb).json;
         assert!(json.get("extensionsUsed").is_none() && json.get("extensionsRequired").is_none());
@@ -229,7 +229,7 @@ fn instances_become_nodes() {
         let object = scene
             .objects()
             .iter()
-            .find(|o| (o.first..o.first + o.count).contains(&r.triangle))
+            .find(|o| (o.first..o.first + o.count).contains(&r.triangle.0))
             .unwrap();
         let own = &scene.triangles()[object.first as usize..][..object.count as usize];
         let middle = own
@@ -297,7 +297,7 @@ fn strips_fans_targets_and_small_types_survive_new_vertices() {
 }
 
 #[test]
-fn materials_that_vary_get_the_texture_too() {
+fn material_variants_get_texture() {
     let mut maker = Maker::new();
     let (positions, indices) = add_cube(&mut maker);
     let old = maker.push(
@@ -338,7 +338,7 @@ fn materials_that_vary_get_the_texture_too() {
 }
 
 #[test]
-fn files_beside_it_are_put_inside() {
+fn external_files_are_embedded() {
     let folder = tempfile::tempdir().unwrap();
     let mut maker = Maker::new();
     let primitive = cube_primitive(&mut maker);
@@ -356,7 +356,7 @@ fn files_beside_it_are_put_inside() {
     let scene = sightline_scene::load_bytes("cube.gltf", &text, Some(folder.path())).unwrap();
     let plan = Plan::new("cube.gltf", &text, Some(folder.path()), &scene, &TEXTURE).unwrap();
     let values = vec![
-        Value {
+        ReceiverValue {
             open: 0.5,
             inside: false
         };
@@ -382,7 +382,7 @@ fn files_beside_it_are_put_inside() {
             .triangles()
             == scene.triangles()
     );
-    // Without the image the file is not whole.
+    // The file is incomplete without the image.
     std::fs::remove_file(folder.path().join("a b.png")).unwrap();
     assert!(
         plan.write(&values)
@@ -393,14 +393,14 @@ fn files_beside_it_are_put_inside() {
 }
 
 #[test]
-fn other_files_become_gltf() {
+fn other_formats_become_gltf() {
     let text = "o floor\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3 4\no empty\no wall\nv 4 0 4\n\
                 f 1 2 5\nf 1 1 2\n";
     let scene = sightline_scene::load_bytes("floor.obj", text.as_bytes(), None).unwrap();
     for settings in [TEXTURE, VERTICES] {
         let plan = Plan::new("floor.obj", text.as_bytes(), None, &scene, &settings).unwrap();
         let values = vec![
-            Value {
+            ReceiverValue {
                 open: 0.5,
                 inside: false
             };

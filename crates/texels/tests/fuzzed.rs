@@ -7,9 +7,9 @@ use serde_json::json;
 use sightline_texels::fuzzing::rewrite;
 use support::{Maker, add_cube, cube_primitive};
 
-/// Mutations of each valid file.
+/// The number of mutations of each valid file.
 const ROUNDS: usize = 400;
-/// Numbers that parsers get wrong.
+/// Numbers that parsers often handle incorrectly.
 const NUMBERS: &[&str] = &[
     "0",
     "-1",
@@ -39,7 +39,7 @@ const NUMBERS: &[&str] = &[
     "\"x\"",
 ];
 
-/// xorshift64*: a small generator with a fixed sequence for each seed.
+/// The generator xorshift64*, which is small and has a fixed sequence for each seed.
 struct Random(u64);
 
 impl Random {
@@ -58,7 +58,8 @@ impl Random {
     }
 }
 
-/// Changes a GLB. The lengths in its header are mended, for else hardly any change would be looked at.
+/// Changes a GLB, and corrects the lengths in its header. Otherwise the reader would reject most changes at
+/// the header.
 fn mutate(r: &mut Random, glb: &[u8]) -> Vec<u8> {
     let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
     let (mut text, mut binary) = (
@@ -112,7 +113,7 @@ fn mutate(r: &mut Random, glb: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Files with and without texture coordinates, colours, materials and shared meshes.
+/// Creates files with and without texture coordinates, colours, materials and shared meshes.
 fn seeds() -> Vec<Vec<u8>> {
     let mut cube = Maker::new();
     let primitive = cube_primitive(&mut cube);
@@ -155,14 +156,14 @@ fn inputs_that_once_crashed_do_not() {
 }
 
 #[test]
-fn mutated_files_are_rewritten_or_refused() {
+fn mutated_files_are_rewritten_or_rejected() {
     for (s, seed) in seeds().iter().enumerate() {
         assert!(rewrite(seed), "seed {s} must be valid");
         let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
         let written = (0..ROUNDS)
             .filter(|_| rewrite(&mutate(&mut r, seed)))
             .count();
-        // Mutations that are all refused, or all written, would reach little of the code.
+        // If nearly all mutations are rejected, or nearly all written, the test reaches little of the code.
         assert!(
             (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&written),
             "{s}: {written} of {ROUNDS}"

@@ -1,4 +1,5 @@
-//! What cannot be done ends in errors that say what, where and what to do; damaged files never panic.
+//! Rejected input: each error states the reason, the element and a remedy, and damaged files never cause a
+//! panic.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -6,14 +7,14 @@ mod support;
 
 use proptest::prelude::*;
 use serde_json::{Value as Json, json};
-use sightline_texels::{Coordinates, Plan, Settings, Size, Target, Value};
+use sightline_texels::{Plan, ReceiverValue, Settings, TexCoordSource, TextureSize, ValueTarget};
 use support::{Maker, cube_primitive, scene};
 
 const TEXTURE: Settings = Settings {
-    target: Target::Texture,
-    size: Size::Resolution(64),
-    coordinates: Coordinates::Keep,
-    bits: sightline_texels::Bits::Eight,
+    target: ValueTarget::Texture,
+    size: TextureSize::Resolution(64),
+    coordinates: TexCoordSource::Keep,
+    bits: sightline_texels::BitDepth::Eight,
 };
 
 fn error(maker: &Maker, settings: &Settings) -> String {
@@ -24,7 +25,7 @@ fn error(maker: &Maker, settings: &Settings) -> String {
         .to_string()
 }
 
-/// Two triangles with these texture coordinates.
+/// Creates two triangles with these texture coordinates.
 fn square(uv: &[f32]) -> Maker {
     let mut maker = Maker::new();
     let positions = maker.floats("VEC3", &[0., 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 0.]);
@@ -39,22 +40,25 @@ fn square(uv: &[f32]) -> Maker {
 }
 
 #[test]
-fn coordinates_that_cannot_be_kept_are_named() {
+fn unusable_coordinates_are_named() {
     let cases: [(&[f32], &str); 5] = [
-        (&[], "mesh 0, primitive 0 (at node 0): it has no TEXCOORD_1"),
+        (
+            &[],
+            "mesh 0, primitive 0 (at node 0): the primitive has no TEXCOORD_1",
+        ),
         (
             &[0., 0., 1., 0., 0., 1., 0.2, 0.2],
-            "mesh 0, primitive 0 (at node 0), triangles 0 and 1: they overlap",
+            "mesh 0, primitive 0 (at node 0), triangles 0 and 1: the triangles overlap",
         ),
         (
             &[0., 0., 1., 0., 0., 1., 1.5, 1.],
-            "triangle 1: its TEXCOORD_1 is not within 0 and 1",
+            "triangle 1: a corner has TEXCOORD_1 outside 0 to 1",
         ),
         (
             &[0., 0., 1., 0., 0., 1., f32::NAN, 1.],
-            "triangle 1: its TEXCOORD_1 is not within 0 and 1",
+            "triangle 1: a corner has TEXCOORD_1 outside 0 to 1",
         ),
-        (&[0.5; 8], "gives a part of its surface no area"),
+        (&[0.5; 8], "more than 1 % of the surface has no area"),
     ];
     for (uv, expected) in cases {
         let maker = square(uv);
@@ -63,9 +67,9 @@ fn coordinates_that_cannot_be_kept_are_named() {
             said.contains(expected) && said.contains("--uv keep"),
             "{said}"
         );
-        // Otherwise new ones are made, and the user is told why.
+        // Otherwise new coordinates are created, and a note states the reason.
         let any = Settings {
-            coordinates: Coordinates::Any,
+            coordinates: TexCoordSource::Any,
             ..TEXTURE
         };
         let glb = maker.glb();
@@ -82,7 +86,7 @@ fn coordinates_that_cannot_be_kept_are_named() {
 #[test]
 fn sizes_have_limits() {
     let maker = square(&[0., 0., 1., 0., 0., 1., 1., 1.]);
-    for coordinates in [Coordinates::Keep, Coordinates::Unwrap] {
+    for coordinates in [TexCoordSource::Keep, TexCoordSource::Unwrap] {
         let with = |size| {
             error(
                 &maker,
@@ -93,19 +97,19 @@ fn sizes_have_limits() {
                 },
             )
         };
-        assert!(with(Size::Texel(1e-5)).contains("16384 x 16384"));
-        assert!(with(Size::Texel(1e-300)).contains("16384 x 16384"));
+        assert!(with(TextureSize::Texel(1e-5)).contains("16384 x 16384"));
+        assert!(with(TextureSize::Texel(1e-300)).contains("16384 x 16384"));
         for size in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(with(Size::Texel(size)).contains("--texel"));
+            assert!(with(TextureSize::Texel(size)).contains("--texel"));
         }
         for side in [0, 15, 16385, u32::MAX] {
-            assert!(with(Size::Resolution(side)).contains("--resolution"));
+            assert!(with(TextureSize::Resolution(side)).contains("--resolution"));
         }
     }
 }
 
 #[test]
-fn many_charts_need_room() {
+fn many_charts_need_large_image() {
     let mut maker = Maker::new();
     let primitive = cube_primitive(&mut maker);
     let mesh = maker.mesh(primitive);
@@ -113,8 +117,8 @@ fn many_charts_need_room() {
         maker.node(json!({ "mesh": mesh, "translation": [2 * i, 0, 0] }));
     }
     let settings = Settings {
-        size: Size::Resolution(32),
-        coordinates: Coordinates::Unwrap,
+        size: TextureSize::Resolution(32),
+        coordinates: TexCoordSource::Unwrap,
         ..TEXTURE
     };
     let said = error(&maker, &settings);
@@ -134,29 +138,32 @@ fn compressions_are_named() {
     for (maker, expected) in [
         (
             draco,
-            "mesh 0, primitive 0: it has KHR_draco_mesh_compression",
+            "mesh 0, primitive 0: data compressed with KHR_draco_mesh_compression",
         ),
-        (meshopt, "buffer view 1: it has EXT_meshopt_compression"),
+        (
+            meshopt,
+            "buffer view 1: data compressed with EXT_meshopt_compression",
+        ),
     ] {
         let said = Plan::new("test.glb", &maker.glb(), None, &scene, &TEXTURE)
             .unwrap_err()
             .to_string();
         assert!(
-            said.contains(expected) && said.contains("export without it"),
+            said.contains(expected) && said.contains("export it uncompressed"),
             "{said}"
         );
     }
 }
 
 #[test]
-fn a_scene_without_area_has_no_values() {
+fn scene_without_area_is_rejected() {
     let mut maker = Maker::new();
     let positions = maker.floats("VEC3", &[0., 0., 0., 1., 1., 1., 2., 2., 2.]);
     let mesh = maker.mesh(json!({ "attributes": { "POSITION": positions } }));
     maker.node(json!({ "mesh": mesh }));
     for (target, coordinates) in [
-        (Target::Texture, Coordinates::Any),
-        (Target::Vertices, Coordinates::Any),
+        (ValueTarget::Texture, TexCoordSource::Any),
+        (ValueTarget::Vertices, TexCoordSource::Any),
     ] {
         let said = error(
             &maker,
@@ -166,12 +173,12 @@ fn a_scene_without_area_has_no_values() {
                 ..TEXTURE
             },
         );
-        assert!(said.contains("none of its triangles has an area"), "{said}");
+        assert!(said.contains("no triangle has an area"), "{said}");
     }
 }
 
 #[test]
-fn the_scene_must_be_that_of_the_file() {
+fn foreign_scene_is_rejected() {
     let glb = square(&[]).glb();
     let mut other = Maker::new();
     let primitive = cube_primitive(&mut other);
@@ -181,7 +188,10 @@ fn the_scene_must_be_that_of_the_file() {
     let said = Plan::new("test.glb", &glb, None, &scene, &TEXTURE)
         .unwrap_err()
         .to_string();
-    assert!(said.contains("it has 2 triangles, the scene 12"), "{said}");
+    assert!(
+        said.contains("the primitive has 2 triangles in the file and 12 in the scene"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -190,7 +200,7 @@ fn values_must_be_complete_and_in_range() {
     let scene = scene(&glb);
     let plan = Plan::new("test.glb", &glb, None, &scene, &TEXTURE).unwrap();
     let mut values = vec![
-        Value {
+        ReceiverValue {
             open: 0.5,
             inside: false
         };
@@ -205,7 +215,7 @@ fn values_must_be_complete_and_in_range() {
     assert!(plan.write(&values[1..]).is_err());
 }
 
-/// A file with most of what the crate reads.
+/// Creates a file with most of the elements that the crate reads.
 fn seed() -> Vec<u8> {
     let mut maker = Maker::new();
     let mut primitive = cube_primitive(&mut maker);
@@ -234,13 +244,13 @@ fn seed() -> Vec<u8> {
     maker.glb()
 }
 
-/// Reads, plans and writes whatever the bytes are.
+/// Reads, plans and writes arbitrary bytes.
 fn exercise(glb: &[u8]) {
     let Ok(scene) = sightline_scene::load_bytes("x.glb", glb, None) else {
         return;
     };
-    for coordinates in [Coordinates::Any, Coordinates::Keep] {
-        for target in [Target::Texture, Target::Vertices] {
+    for coordinates in [TexCoordSource::Any, TexCoordSource::Keep] {
+        for target in [ValueTarget::Texture, ValueTarget::Vertices] {
             let settings = Settings {
                 target,
                 coordinates,
@@ -250,8 +260,8 @@ fn exercise(glb: &[u8]) {
                 continue;
             };
             let values = plan.receivers().iter().enumerate();
-            let values: Vec<Value> = values
-                .map(|(i, r)| Value {
+            let values: Vec<ReceiverValue> = values
+                .map(|(i, r)| ReceiverValue {
                     open: r.point.x.rem_euclid(1.0).min(1.0),
                     inside: i % 7 == 0,
                 })
@@ -289,7 +299,7 @@ proptest! {
         let glb = seed();
         let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
         let mut json: Json = serde_json::from_slice(&glb[20..20 + length]).unwrap();
-        // The places of all values, and one of them replaced.
+        // The paths of all values; one of these values is replaced.
         let mut places = vec![String::new()];
         let mut open = vec![(String::new(), &json)];
         while let Some((path, value)) = open.pop() {

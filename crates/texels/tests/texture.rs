@@ -1,4 +1,4 @@
-//! Texels against functions of the position whose means are known.
+//! Texels compared with the known means of functions of the position.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -6,18 +6,18 @@ mod support;
 
 use glam::DVec3;
 use serde_json::json;
-use sightline_texels::{Bits, Coordinates, Plan, Settings, Size, Value};
+use sightline_texels::{BitDepth, Plan, ReceiverValue, Settings, TexCoordSource, TextureSize};
 use support::{Maker, Read, cube_primitive, scene, written};
 
 fn settings(side: u32) -> Settings {
     Settings {
-        size: Size::Resolution(side),
-        bits: Bits::Sixteen,
+        size: TextureSize::Resolution(side),
+        bits: BitDepth::Sixteen,
         ..Settings::default()
     }
 }
 
-/// A square of 8 x 8 in the plane z = 0 whose `TEXCOORD_1` spans the image, or only the half of it.
+/// Creates a square of 8 x 8 in the plane z = 0 whose `TEXCOORD_1` covers the image, or half of this square.
 fn plane(half: bool) -> Maker {
     let mut maker = Maker::new();
     let positions = maker.floats("VEC3", &[0., 0., 0., 8., 0., 0., 0., 8., 0., 8., 8., 0.]);
@@ -35,7 +35,7 @@ fn plane(half: bool) -> Maker {
 }
 
 #[test]
-fn a_texel_is_the_mean_over_its_part() {
+fn texel_is_mean_over_its_part() {
     let f = |x: f64, y: f64| (x + 2.0 * y) / 32.0;
     for half in [false, true] {
         let glb = plane(half).glb();
@@ -51,7 +51,7 @@ fn a_texel_is_the_mean_over_its_part() {
         let image = read.image();
         for y in 0..16 {
             for x in 0..16 {
-                // On the long side of the half, texels are half covered.
+                // On the long side of the half square, texels are half covered.
                 let middle = match (half, x + y) {
                     (true, 16..) => continue,
                     (true, 15) => 1.0 / 3.0,
@@ -65,7 +65,7 @@ fn a_texel_is_the_mean_over_its_part() {
                 );
             }
         }
-        // The coordinates are as they were.
+        // The coordinates are unchanged.
         let before = Read::new(&glb);
         assert_eq!(
             read.attribute(0, 0, "TEXCOORD_1"),
@@ -80,12 +80,15 @@ fn a_texel_is_the_mean_over_its_part() {
 }
 
 #[test]
-fn the_size_of_a_texel_decides_the_size_of_the_image() {
+fn texel_size_determines_image_size() {
     let glb = plane(false).glb();
     let scene = scene(&glb);
-    for (coordinates, least, most) in [(Coordinates::Keep, 32, 32), (Coordinates::Unwrap, 32, 48)] {
+    for (coordinates, least, most) in [
+        (TexCoordSource::Keep, 32, 32),
+        (TexCoordSource::Unwrap, 32, 48),
+    ] {
         let settings = Settings {
-            size: Size::Texel(0.25),
+            size: TextureSize::Texel(0.25),
             coordinates,
             ..Settings::default()
         };
@@ -100,7 +103,7 @@ fn the_size_of_a_texel_decides_the_size_of_the_image() {
     }
 }
 
-/// The values at the middles of quarters of each edge, once from each of its triangles.
+/// Returns the values at the midpoints of the quarters of each edge, from each of its two triangles.
 fn edge_differences(read: &Read, scene: &sightline_scene::Scene) -> Vec<(f64, f64)> {
     let (image, uv) = (read.image(), read.coordinates(0, 0));
     let mut edges: Vec<([u32; 6], u32, f64, DVec3)> = Vec::new();
@@ -137,13 +140,13 @@ fn edge_differences(read: &Read, scene: &sightline_scene::Scene) -> Vec<(f64, f6
 }
 
 #[test]
-fn both_sides_of_a_seam_agree() {
+fn both_sides_of_seam_agree() {
     let mut maker = Maker::new();
     let primitive = cube_primitive(&mut maker);
     let mesh = maker.mesh(primitive);
     maker.node(json!({ "mesh": mesh }));
     let glb = maker.glb();
-    // A function of the position goes on across the edges of a cube.
+    // A function of the position is continuous across the edges of a cube.
     let made = written(&glb, &settings(128), |p, _| {
         0.5 + 0.2 * (3.0 * p.x + 2.0 * p.y - p.z).sin()
     });
@@ -155,13 +158,13 @@ fn both_sides_of_a_seam_agree() {
     let differences = edge_differences(&Read::new(&made.glb), &scene(&glb));
     assert_eq!(differences.len(), 18 * 4);
     for (difference, _) in differences {
-        // No more than what the function does in a texel.
+        // The difference is at most the change of the function within a texel.
         assert!(difference < 0.75 * 3.0 / 40.0 * 0.75, "{difference}");
     }
 }
 
 #[test]
-fn seams_of_a_round_surface_are_closed() {
+fn seams_of_round_surface_are_closed() {
     // A sphere of few faces, whose values differ from texel to texel.
     let mut maker = Maker::new();
     let (across, down) = (24u16, 12u16);
@@ -215,7 +218,7 @@ fn seams_of_a_round_surface_are_closed() {
         .map(|d| d.0)
         .collect();
     let largest = smooth.iter().copied().fold(0.0, f64::max);
-    // Less than a step of 8 bits; without closing them it is ten times as much.
+    // The difference is below one step of 8 bits. Without closed seams it is ten times as large.
     assert!(
         smooth.len() > 2000 && largest < 1.0 / 255.0,
         "{} {largest}",
@@ -224,7 +227,7 @@ fn seams_of_a_round_surface_are_closed() {
 }
 
 #[test]
-fn fronts_turn_with_the_transform() {
+fn fronts_follow_transform() {
     for scale in [[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [-1, -1, -1]] {
         let mut maker = Maker::new();
         let primitive = cube_primitive(&mut maker);
@@ -244,16 +247,16 @@ fn fronts_turn_with_the_transform() {
 }
 
 #[test]
-fn what_is_inside_takes_the_values_of_neighbours() {
+fn inside_texels_get_values_of_neighbours() {
     let glb = plane(false).glb();
     let scene = scene(&glb);
     let plan = Plan::new("test.glb", &glb, None, &scene, &settings(16)).unwrap();
     let values = plan.receivers().iter();
-    // A wall stands on the plane; below it all is dark.
-    let values: Vec<Value> = values
+    // A wall is on the plane; below the wall everything is dark.
+    let values: Vec<ReceiverValue> = values
         .map(|r| {
             let inside = (2.0..4.0).contains(&r.point.x);
-            Value {
+            ReceiverValue {
                 open: if inside { 0.0 } else { 0.75 },
                 inside,
             }
@@ -269,7 +272,7 @@ fn what_is_inside_takes_the_values_of_neighbours() {
 }
 
 #[test]
-fn the_same_bytes_every_time() {
+fn output_is_deterministic() {
     let mut maker = Maker::new();
     let primitive = cube_primitive(&mut maker);
     let mesh = maker.mesh(primitive);

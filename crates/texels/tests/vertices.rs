@@ -1,21 +1,21 @@
-//! Values at vertices against functions of the position that they must follow.
+//! Values at vertices compared with functions of the position.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod support;
 
 use serde_json::json;
-use sightline_texels::{Plan, Settings, Target, Value};
+use sightline_texels::{Plan, ReceiverValue, Settings, ValueTarget};
 use support::{Maker, Read, cube_primitive, scene, written};
 
 const VERTICES: Settings = Settings {
-    target: Target::Vertices,
-    size: sightline_texels::Size::Resolution(16),
-    coordinates: sightline_texels::Coordinates::Any,
-    bits: sightline_texels::Bits::Sixteen,
+    target: ValueTarget::Vertices,
+    size: sightline_texels::TextureSize::Resolution(16),
+    coordinates: sightline_texels::TexCoordSource::Any,
+    bits: sightline_texels::BitDepth::Sixteen,
 };
 
-/// A grid of squares of different sizes in the plane z = 0.
+/// Creates a grid of squares of different sizes in the plane z = 0.
 fn grid(n: u16) -> Maker {
     let mut maker = Maker::new();
     let at = |i: u16| f32::from(i) * f32::from(i + 3) / 8.0;
@@ -43,7 +43,7 @@ fn grid(n: u16) -> Maker {
 }
 
 #[test]
-fn a_linear_function_is_found_exactly() {
+fn linear_function_is_fitted_exactly() {
     let glb = grid(7).glb();
     let f = |x: f64, y: f64| 0.1 + 0.04 * x + 0.03 * y;
     let made = written(&glb, &VERTICES, |p, _| f(p.x, p.y));
@@ -68,14 +68,14 @@ fn a_linear_function_is_found_exactly() {
 }
 
 #[test]
-fn what_is_inside_does_not_count() {
+fn inside_receivers_are_ignored() {
     let glb = grid(6).glb();
     let scene = scene(&glb);
     let plan = Plan::new("test.glb", &glb, None, &scene, &VERTICES).unwrap();
-    let values: Vec<Value> = plan
+    let values: Vec<ReceiverValue> = plan
         .receivers()
         .iter()
-        .map(|r| Value {
+        .map(|r| ReceiverValue {
             open: if r.point.x < 2.0 { 0.0 } else { 0.5 },
             inside: r.point.x < 2.0,
         })
@@ -83,9 +83,9 @@ fn what_is_inside_does_not_count() {
     let read = Read::new(&plan.write(&values).unwrap().glb);
     let values = read.attribute(0, 0, "_OCCLUSION");
     assert!(values.iter().all(|v| (v - 0.5).abs() < 0.01), "{values:?}");
-    // All inside: nothing is known, and nothing is dark.
+    // All receivers are inside: the values are unknown, and all vertices are bright.
     let none = vec![
-        Value {
+        ReceiverValue {
             open: 0.0,
             inside: true
         };
@@ -96,7 +96,7 @@ fn what_is_inside_does_not_count() {
 }
 
 #[test]
-fn shared_vertices_of_a_cube_have_one_value_each() {
+fn shared_vertices_of_cube_have_one_value() {
     let mut maker = Maker::new();
     let primitive = cube_primitive(&mut maker);
     let mesh = maker.mesh(primitive);
@@ -108,7 +108,7 @@ fn shared_vertices_of_a_cube_have_one_value_each() {
     );
     let values = Read::new(&made.glb).attribute(0, 0, "_OCCLUSION");
     assert_eq!(values.len(), 8);
-    // Vertices 4 to 7 are on top: between the two.
+    // Vertices 4 to 7 are on top: their values are between the two.
     assert!(
         values[..4].iter().all(|v| (v - 0.4).abs() < 0.2),
         "{values:?}"
@@ -120,9 +120,9 @@ fn shared_vertices_of_a_cube_have_one_value_each() {
 }
 
 #[test]
-fn vertices_that_a_seam_splits_have_the_same_value() {
+fn vertices_split_by_seam_have_equal_values() {
     let mut maker = Maker::new();
-    // Two triangles of a square with vertices of their own, whose coordinates differ.
+    // Two triangles of a square with separate vertices, whose texture coordinates differ.
     let positions = maker.floats(
         "VEC3",
         &[
@@ -140,7 +140,7 @@ fn vertices_that_a_seam_splits_have_the_same_value() {
 }
 
 #[test]
-fn colours_of_the_user_stay() {
+fn user_colours_stay_unchanged() {
     let mut maker = Maker::new();
     let mut primitive = cube_primitive(&mut maker);
     let colors = maker.floats("VEC3", &[0.25; 24]);

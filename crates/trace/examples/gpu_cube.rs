@@ -1,6 +1,7 @@
-//! Time of a cube on the GPU backend: `gpu_cube [resolution] [cubes] [triangles]`, random triangles in a box,
-//! the whole scene and a superset of 10 000. The digests are of what was seen: the same on every run of a
-//! profile.
+//! Measures the time of a cube on the GPU backend: `gpu_cube [resolution] [cubes] [triangles]`.
+//!
+//! The scene has random triangles in a box. The example renders the whole scene and a superset of 10 000
+//! triangles. The printed digests are of the seen triangles: they are the same on every run of a profile.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -9,7 +10,7 @@ use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_trace::gpu::{AdapterChoice, GpuBackend, adapters};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::{Backend, CubeSpec, Strata};
+use sightline_trace::{CubeSpec, Strata, Tracer};
 
 #[allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 fn main() -> Result<(), Box<dyn std::error::Error>> {

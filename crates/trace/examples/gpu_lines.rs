@@ -1,9 +1,10 @@
-//! How fast lines are traced: `gpu_lines [--adapter name] [--millions n] scene...`, Embree against the GPU,
-//! rays of cube tiles (coherent) and rays with nothing in common, and how often the two meet different
-//! triangles.
+//! Measures the speed of tracing lines: `gpu_lines [--adapter name] [--millions n] scene...`.
 //!
-//! It bakes nothing and judges no picture. Times are of the tracers' calls alone, the best of three: Embree's
-//! on all threads, the GPU's one call from one thread.
+//! The example compares the cpu backend with the GPU, for rays of cube tiles (coherent) and for unrelated
+//! rays. It also prints how often the two meet different triangles.
+//!
+//! The example does not bake or compare pictures. Times are only of the tracers' calls, the best of three:
+//! the cpu backend on all threads, and one call of the GPU from one thread.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,21 +12,21 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use sightline_scene::Aabb;
+use sightline_trace::cpu::CpuBackend;
 use sightline_trace::cube::face_basis;
-use sightline_trace::embree::CpuBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
-use sightline_trace::packet::{LANES, LineTracer, Packet};
+use sightline_trace::packet::{Halves, LANES, LineTracer, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::{Backend, CubeSpec, LineSet, SKY, Strata};
+use sightline_trace::{CubeSpec, LineSet, SKY, Strata, Tracer};
 
-/// Pixels a side of a cube's face.
+/// The side length of a cube's face in pixels.
 const SIDE: u32 = 128;
-/// Packets of a call of the CPU tracer; the GPU's are given all at once.
+/// The number of packets of a call of the CPU tracer. The GPU tracer receives all packets at once.
 const CPU_CALL: usize = 256;
-/// Relative difference below which two distances are one.
+/// The relative difference below which two distances count as equal.
 const SAME: f32 = 1e-4;
 
-/// Cubes from random points, tiles of 4 × 4 pixels.
+/// Returns the packets of cubes from random points, in tiles of 4 × 4 pixels.
 fn coherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
     let mut packets = Vec::new();
     while packets.len() < count {
@@ -48,7 +49,7 @@ fn coherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
     packets
 }
 
-/// From anywhere in the bounds to anywhere in them.
+/// Returns packets of rays between random points of the bounds.
 fn incoherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
     let size = bounds.max - bounds.min;
     (0..count)
@@ -64,7 +65,7 @@ fn incoherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
         .collect()
 }
 
-/// Millions of rays a second, the best of three.
+/// Returns the speed in millions of rays per second, the best of three.
 fn rate(packets: &mut [Packet], mut trace: impl FnMut(&mut [Packet])) -> f64 {
     let rays = (packets.len() * LANES) as f64;
     (0..3)
@@ -76,7 +77,8 @@ fn rate(packets: &mut [Packet], mut trace: impl FnMut(&mut [Packet])) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Rays that meet different triangles, and those of them whose distances differ too.
+/// Counts the rays that meet different triangles in `a` and `b`. Of these rays, it also counts the rays whose
+/// distances differ and the rays without a hit in `b`.
 fn differing(a: &[Packet], b: &[Packet]) -> (usize, usize, usize) {
     let (mut ids, mut distances, mut holes) = (0, 0, 0);
     for (p, q) in a.iter().zip(b) {
@@ -84,7 +86,7 @@ fn differing(a: &[Packet], b: &[Packet]) -> (usize, usize, usize) {
             if p.triangle[l] != q.triangle[l] {
                 ids += 1;
                 let (x, y) = (p.distance[l], q.distance[l]);
-                // Also where one is infinite.
+                // The comparison also holds if one distance is infinite.
                 distances += usize::from((x - y).abs() > SAME * x.abs().min(y.abs()));
                 holes += usize::from(q.triangle[l] == SKY);
             }
@@ -131,7 +133,7 @@ fn measure(
     let cpu = CpuBackend::new(scene.clone(), spec)?;
     let gpu = GpuBackend::new(scene.clone(), spec, choice.clone())?;
     let ids: Vec<u32> = (0..scene.len()).collect();
-    let made = |backend: &dyn Backend| -> Result<(), Box<dyn std::error::Error>> {
+    let made = |backend: &dyn Tracer| -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
         backend.lines(LineSet::Blocking, &ids)?;
         println!(
@@ -153,12 +155,10 @@ fn measure(
         let make = if alike { coherent } else { incoherent };
         let mut a = make(scene.bounds(), count, &mut random);
         let mut b = a.clone();
-        let trace = |tracer: &dyn LineTracer, run: &mut [Packet]| match alike {
-            true => tracer.trace(run),
-            false => tracer.trace_each(run),
-        };
+        let trace =
+            |tracer: &dyn LineTracer, run: &mut [Packet]| tracer.trace(run, Halves::Rays, alike);
         let mut fault = None;
-        let embree = rate(&mut a, |packets| {
+        let cpu_rate = rate(&mut a, |packets| {
             let done = packets
                 .par_chunks_mut(CPU_CALL)
                 .try_for_each(|run| trace(&*cpu, run));
@@ -173,9 +173,8 @@ fn measure(
         let (ids, distances, holes) = differing(&a, &b);
         let rays = count * LANES;
         println!(
-            "  {}: Embree {embree:.2} Mrays/s, compute {compute:.2} Mrays/s; of {rays} rays {ids} meet \
-                another \
-             triangle, {distances} of them elsewhere, {holes} only Embree's",
+            "  {}: cpu {cpu_rate:.2} Mrays/s, compute {compute:.2} Mrays/s; of {rays} rays {ids} meet \
+             another triangle, {distances} of them elsewhere, {holes} only on the cpu",
             if alike { "coherent" } else { "incoherent" },
         );
     }

@@ -1,10 +1,12 @@
-//! The visibility cube (Nirenstein 2003, section 4.1.1; Nirenstein and Blake 2004, section 3.1): its
-//! geometry, the directions of its pixels, and its reduction to a sample.
+//! The visibility cube: its geometry, the directions of its pixels, and its reduction to a sample.
 //!
-//! All backends share these conventions. Face `f` looks along axis `f / 2`, positively when `f` is even.
-//! Its right vector is the next axis, its up vector the one after (cyclically), for both signs. Pixel (x, y)
-//! of a face with side n has the direction forward + u·right + v·up with u = (2x+1)/n − 1 and
-//! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
+//! The cube follows Nirenstein 2003, section 4.1.1, and Nirenstein and Blake 2004, section 3.1.
+//!
+//! All backends share these conventions. Face `f` looks along axis `f / 2`, in positive direction if `f` is
+//! even. The right vector of a face is the next axis, and the up vector the axis after it (cyclically), for
+//! both signs. Pixel (x, y) of a face with side n has the direction forward + u·right + v·up with u =
+//! (2x+1)/n − 1 and v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y
+//! = 0.
 
 use glam::Vec3;
 use sightline_model::{CubeParams, ErrorMeasure, Sampler, VisibilitySample};
@@ -15,17 +17,17 @@ pub const SKY: u32 = u32::MAX;
 /// The parameters of rendered cubes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CubeSpec {
-    /// Side of one face in pixels, 1…4096.
+    /// The side length of a face in pixels, 1…4096.
     pub resolution: u32,
-    /// Angular strata.
+    /// The angular strata.
     pub strata: Strata,
-    /// Whether samples keep their pixels (needed by Err′ only).
+    /// True if samples contain their pixels, which only Err′ needs.
     pub keep_pixels: bool,
 }
 
 impl CubeSpec {
     /// Returns the cubes that a sampler needs, or the default cubes if it renders none.
-    pub fn of(sampler: &Sampler) -> Self {
+    pub fn from_sampler(sampler: &Sampler) -> Self {
         Self::new(&sampler.cube_params().copied().unwrap_or_default())
     }
 
@@ -45,7 +47,7 @@ impl CubeSpec {
 /// The strata of directions for the error measure Err″ (Nirenstein and Blake 2004, section 3.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strata {
-    /// One stratum: Err″ is Err.
+    /// One stratum: Err″ equals Err.
     One,
     /// One stratum for each face: 6.
     Faces,
@@ -54,7 +56,7 @@ pub enum Strata {
 }
 
 impl Strata {
-    /// The number of strata.
+    /// Returns the number of strata.
     pub fn count(self) -> u32 {
         match self {
             Self::One => 1,
@@ -63,7 +65,7 @@ impl Strata {
         }
     }
 
-    /// The stratum of pixel (x, y) of `face` when a face has `n` pixels a side.
+    /// Returns the stratum of pixel (x, y) of `face` if a face has a side of `n` pixels.
     pub fn of_pixel(self, face: u32, x: u32, y: u32, n: u32) -> u32 {
         match self {
             Self::One => 0,
@@ -73,7 +75,7 @@ impl Strata {
     }
 }
 
-/// Forward, right and up of a face, unit vectors.
+/// Returns the forward, right and up unit vectors of a face.
 pub fn face_basis(face: u32) -> [Vec3; 3] {
     let axis = (face / 2) as usize % 3;
     let unit = |i: usize| Vec3::AXES[i % 3];
@@ -85,17 +87,17 @@ pub fn face_basis(face: u32) -> [Vec3; 3] {
     [forward, unit(axis + 1), unit(axis + 2)]
 }
 
-/// Six item buffers from one point: for each pixel the id of the triangle seen, or [`SKY`].
+/// Six item buffers around a point: for each pixel the id of the triangle seen, or [`SKY`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CubeImage {
-    /// Side of one face in pixels, n.
+    /// The side length n of a face in pixels.
     pub resolution: u32,
-    /// 6·n·n ids, face by face, row by row.
+    /// The ids of the pixels: 6·n·n ids, face by face, row by row.
     pub ids: Vec<u32>,
 }
 
 impl CubeImage {
-    /// The triangle that is seen in a direction, which is not zero, or [`SKY`].
+    /// Returns the triangle that is seen in a direction other than zero, or [`SKY`].
     pub fn id_along(&self, direction: Vec3) -> u32 {
         let n = self.resolution;
         let ahead = |face: &u32| direction.dot(face_basis(*face)[0]);
@@ -109,7 +111,7 @@ impl CubeImage {
     }
 }
 
-/// Reduces a full cube image on the CPU. The reference for every backend's own reduction.
+/// Reduces a full cube image on the CPU. This function is the reference for every backend's own reduction.
 pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> VisibilitySample {
     let n = image.resolution;
     // (id, stratum bit, run length): runs along a row keep the list short.
@@ -134,15 +136,17 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
     }
 }
 
-/// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest
-/// extent, at most 2⁻²⁴. Tracers of lines measure it in lengths of the direction.
+/// Returns the distance along a face's forward axis below which triangles are neither seen nor block.
+///
+/// The distance is 2⁻⁴⁰ of the scene's largest extent, at most 2⁻²⁴. Tracers of lines measure it in lengths
+/// of the direction.
 ///
 /// A sample in the plane of an axis-aligned wall, as on a face where a view cell meets a wall, has that wall
-/// at distance zero exactly and sees along both its sides. `f32` coordinates of the scene cannot place a
-/// vertex this close to a sample otherwise, so nothing else is clipped. All backends use this value.
+/// at distance zero exactly and sees along both its sides. Otherwise, `f32` coordinates of the scene cannot
+/// place a vertex this close to a sample, so no other triangle is clipped. All backends use this value.
 pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
     let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
-    // The extent is 0 only if all triangles are degenerate, and then none is visible.
+    // The extent is 0 only if all triangles are degenerate. Then no triangle is visible.
     // A direction can be as long as the scene. Without a limit, a line of a scene of 10⁸ units would ignore
     // the blockers in 10⁻⁴ of its length; 2⁻²⁴ of a length is below the rounding of its ends.
     ((extent * 2f64.powi(-40)) as f32).clamp(1e-30, 2f32.powi(-24))
@@ -153,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_direction_through_a_pixel_meets_its_id() {
+    fn direction_through_pixel_meets_its_id() {
         let n = 8;
         let image = CubeImage {
             resolution: n,

@@ -1,36 +1,37 @@
 //! Visibility cubes of scenes with kinds or sides: item buffers of the blocking triangles, and the
 //! see-through triangles in front of each pixel.
 //!
-//! The cubes are traced as sight lines, on either backend: rasterised item buffers have one layer. Scenes of
-//! opaque triangles with two sides keep their backend's own renderer.
+//! The cubes are traced as sight lines, on either backend, because rasterised item buffers have one layer.
+//! Scenes of opaque triangles with two sides use their backend's own renderer.
 
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_model::VisibilitySample;
 
-use crate::backend::{Backend, CubeRenderer};
 use crate::cube::{CubeImage, CubeSpec, SKY, face_basis, sample_of_image};
-use crate::error::BackendError;
+use crate::error::TracerError;
 use crate::packet::{LANES, Packet};
 use crate::prepared::PreparedScene;
 use crate::sight::{Passed, SightLineTracer, least_step};
+use crate::tracer::{CubeRenderer, Tracer};
 
-/// Packets traced at a time.
+/// The number of packets traced at a time.
 const BATCH: usize = 1024;
 
-/// Prepares the rendering of a scene of any kinds and sides, up to the distance `far`: [`Backend::prepare`]
-/// for opaque scenes with two sides and without such a distance; else the whole scene is traced, whatever the
-/// superset.
+/// Prepares the rendering of a scene of any kinds and sides, up to the distance `far`.
+///
+/// Opaque scenes with two sides and without such a distance use [`Tracer::prepare`]. Otherwise the whole
+/// scene is traced, independent of the superset.
 ///
 /// # Errors
-/// As [`Backend::prepare`].
+/// The errors of [`Tracer::prepare`].
 pub fn renderer<'a>(
-    backend: &'a dyn Backend,
+    backend: &'a dyn Tracer,
     scene: &'a PreparedScene,
     spec: CubeSpec,
     superset: Option<&[u32]>,
     far: Option<f64>,
-) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
+) -> Result<Box<dyn CubeRenderer + 'a>, TracerError> {
     let plain = scene.scene().kinds().all_opaque() && scene.scene().sides().are_both();
     if plain && far.is_none() {
         return backend.prepare(superset);
@@ -46,12 +47,12 @@ pub fn renderer<'a>(
 struct Layered<'a> {
     sight: SightLineTracer<'a>,
     spec: CubeSpec,
-    /// See [`SightLineTracer::trace`].
+    /// The step of [`SightLineTracer::trace`].
     step: f32,
 }
 
 impl CubeRenderer for Layered<'_> {
-    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, TracerError> {
         points
             .par_iter()
             .map(|p| {
@@ -67,11 +68,11 @@ impl CubeRenderer for Layered<'_> {
             .collect()
     }
 
-    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+    fn image(&self, point: Vec3) -> Result<CubeImage, TracerError> {
         Ok(self.layers(point)?.0)
     }
 
-    fn layers(&self, point: Vec3) -> Result<(CubeImage, Vec<(u32, u32)>), BackendError> {
+    fn layers(&self, point: Vec3) -> Result<(CubeImage, Vec<(u32, u32)>), TracerError> {
         let n = self.spec.resolution;
         let at = |x: u32| (2 * x + 1) as f32 / n as f32 - 1.0;
         // Tiles of 4×4 pixels keep packets coherent.

@@ -1,25 +1,25 @@
-//! A scene with the facts about its triangles that samplers need, each computed once.
+//! A scene with the facts about its triangles that samplers need. Each fact is computed once.
 //!
 //! The facts are computed on all threads of rayon's pool. A thread of the pool that waits for such a
-//! computation can run another task meanwhile, reach the same lock and wait for itself. So a sampler gets all
-//! facts before it distributes work over threads: [`PreparedScene::for_lines`] and
-//! [`PreparedScene::for_cubes`] are the only access to them, and both panic on a thread of the pool.
+//! computation can run another task, reach the same lock and wait for itself. A sampler therefore gets all
+//! facts before it distributes work over threads. [`PreparedScene::for_lines`] and
+//! [`PreparedScene::for_cubes`] are the only access to the facts, and both panic on a thread of the pool.
 
 use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 use sightline_model::Granularity;
 use sightline_scene::topology::{self, Solids};
-use sightline_scene::{Kind, Scene, SceneError, Side};
+use sightline_scene::{Scene, SceneError, Side, SurfaceKind, TriangleId};
 
 use crate::rows::Rows;
 use crate::surface::Surface;
 
-/// A scene and the facts about it that are known so far.
+/// A scene, and the facts about it that were computed so far.
 pub struct PreparedScene {
     scene: Arc<Scene>,
     solids: OnceLock<Solids>,
-    /// Classes of triangles with the same three vertices.
+    /// The classes of triangles with the same three vertices.
     classes: OnceLock<Vec<Vec<u32>>>,
     duplicates: OnceLock<Vec<Vec<u32>>>,
     distinct: OnceLock<Vec<u32>>,
@@ -27,54 +27,57 @@ pub struct PreparedScene {
     masked: OnceLock<(Vec<u32>, Vec<Vec<u32>>)>,
     shown: OnceLock<Vec<u32>>,
     surface: OnceLock<Surface>,
-    /// With a row for each triangle, by granularity.
+    /// The rows of tables with a row for each triangle, by granularity.
     fine_rows: [OnceLock<Rows>; 3],
-    /// With a row for each item, by granularity.
+    /// The rows of tables with a row for each item, by granularity.
     item_rows: [OnceLock<Rows>; 3],
 }
 
 /// The triangles among which sight lines are traced.
 #[derive(Clone, Copy)]
 pub struct Traced<'a> {
-    /// The triangles.
+    /// The scene that contains the triangles.
     pub scene: &'a Scene,
-    /// Ids of the blocking triangles with area, one of each class of duplicates (two if it has triangles of
-    /// one side with opposite fronts), in ascending order.
+    /// The ids of the blocking triangles with area, one of each class of duplicates, in ascending order. A
+    /// class with triangles of one side and opposite fronts has two.
     pub distinct: &'a [u32],
-    /// The same for see-through triangles.
+    /// The ids of the see-through triangles with area, selected like `distinct`.
     pub see_through: &'a [u32],
-    /// The same for masked triangles.
+    /// The ids of the masked triangles with area, selected like `distinct`.
     pub masked: &'a [u32],
-    /// The classes of masked triangles with the same three vertices, whose masks may differ; ascending by
-    /// their first triangle, which is the one in `masked`.
+    /// The classes of masked triangles with the same three vertices, whose masks may differ. The classes
+    /// ascend by their first triangle, which is in `masked`.
     pub coincident: &'a [Vec<u32>],
 }
 
 /// The facts that sight lines need.
 #[derive(Clone, Copy)]
 pub struct LineScene<'a> {
-    /// The triangles.
+    /// The scene that contains the triangles.
     pub scene: &'a Scene,
-    /// Ids of the blocking triangles with area, one of each class of duplicates, in ascending order.
+    /// The ids of the blocking triangles with area, one of each class of duplicates, in ascending order.
     pub distinct: &'a [u32],
-    /// The same for see-through triangles.
+    /// The ids of the see-through triangles with area, selected like `distinct`.
     pub see_through: &'a [u32],
-    /// The triangles of both that show, and all masked ones with area, in ascending order.
+    /// The triangles of `distinct` and `see_through` that show, and all masked triangles with area, in
+    /// ascending order.
     pub shown: &'a [u32],
-    /// Classes of opaque or of see-through triangles with the same three vertices, which are seen together or
-    /// not at all: those of one side are seen with those of both sides, if there are any, else with those of
-    /// the same front. Masked ones are found one by one, since their masks may differ.
+    /// The classes of opaque or of see-through triangles with the same three vertices.
+    ///
+    /// The triangles of a class are seen together or not at all. Triangles with one side are in the class of
+    /// the triangles with both sides, if there are any, otherwise in the class of the same front. Masked
+    /// triangles are found one by one, because their masks may differ.
     pub duplicates: &'a [Vec<u32>],
-    /// Neighbours over edges, and the triangles' order in space.
+    /// The neighbours of triangles over edges, and the triangles' order in space.
     pub surface: &'a Surface,
 }
 
 /// The facts that visibility cubes need.
 #[derive(Clone, Copy)]
 pub struct CubeScene<'a> {
-    /// Classes of triangles with the same three vertices, which are seen together or not at all.
+    /// The classes of triangles with the same three vertices, which are seen together or not at all.
     pub duplicates: &'a [Vec<u32>],
-    /// Which triangles bound closed solids; `None` when samples inside solids are not judged apart.
+    /// The triangles that bound closed solids; `None` if samples inside solids have no separate threshold.
     pub solids: Option<&'a Solids>,
 }
 
@@ -82,10 +85,10 @@ pub struct CubeScene<'a> {
 const CHECKED: &str = "the number of triangles was checked when the scene was prepared";
 
 impl PreparedScene {
-    /// Prepares `scene` without computing any fact yet.
+    /// Prepares `scene` without computing facts.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when it has too many triangles to analyse.
+    /// [`SceneError::Bad`] if the scene has too many triangles to analyse.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
         topology::check_size(&scene)?;
         Ok(Self {
@@ -103,21 +106,23 @@ impl PreparedScene {
         })
     }
 
-    /// The triangles.
+    /// Returns the scene.
     pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
     }
 
-    /// The facts that sight lines need.
+    /// Returns the facts that sight lines need.
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see the module's documentation).
+    /// Panics on a thread of rayon's pool (see the module's documentation).
     pub fn for_lines(&self) -> LineScene<'_> {
         outside_the_pool();
         let (duplicates, distinct, see_through) =
             (self.duplicates(), self.distinct(), self.see_through());
         let shown = self.shown(distinct, see_through);
-        let surface = self.surface.get_or_init(|| Surface::of(&self.scene, shown));
+        let surface = self
+            .surface
+            .get_or_init(|| Surface::new(&self.scene, shown));
         LineScene {
             scene: &self.scene,
             distinct,
@@ -131,7 +136,7 @@ impl PreparedScene {
     /// Returns the rows of a table with a row for each triangle.
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see the module's documentation).
+    /// Panics on a thread of rayon's pool (see the module's documentation).
     pub fn fine_rows(&self, granularity: Granularity) -> &Rows {
         outside_the_pool();
         let place = &self.fine_rows[place_of(granularity)];
@@ -141,17 +146,17 @@ impl PreparedScene {
     /// Returns the rows of a table with a row for each item.
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see the module's documentation).
+    /// Panics on a thread of rayon's pool (see the module's documentation).
     pub fn item_rows(&self, granularity: Granularity) -> &Rows {
         outside_the_pool();
         let place = &self.item_rows[place_of(granularity)];
         place.get_or_init(|| Rows::of_items(&self.scene, granularity, self.duplicates()))
     }
 
-    /// The facts that visibility cubes need.
+    /// Returns the facts that visibility cubes need.
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see the module's documentation).
+    /// Panics on a thread of rayon's pool (see the module's documentation).
     #[expect(
         clippy::expect_used,
         reason = "new() has checked the only thing that can fail"
@@ -160,7 +165,7 @@ impl PreparedScene {
         outside_the_pool();
         let solids = solids.then(|| {
             self.solids
-                .get_or_init(|| Solids::of(&self.scene).expect(CHECKED))
+                .get_or_init(|| Solids::find(&self.scene).expect(CHECKED))
         });
         CubeScene {
             duplicates: self.duplicates(),
@@ -168,10 +173,10 @@ impl PreparedScene {
         }
     }
 
-    /// The triangles among which sight lines are traced; computes less than [`Self::for_lines`].
+    /// Returns the triangles among which sight lines are traced. Computes less than [`Self::for_lines`].
     ///
     /// # Panics
-    /// On a thread of rayon's pool (see the module's documentation).
+    /// Panics on a thread of rayon's pool (see the module's documentation).
     pub fn traced(&self) -> Traced<'_> {
         outside_the_pool();
         let (distinct, see_through) = (self.distinct(), self.see_through());
@@ -200,36 +205,40 @@ impl PreparedScene {
             return self.classes();
         }
         self.duplicates.get_or_init(|| {
-            let keep_kind = |kind: Kind, class: &[u32]| -> Vec<u32> {
+            let keep_kind = |kind: SurfaceKind, class: &[u32]| -> Vec<u32> {
                 class
                     .iter()
                     .copied()
-                    .filter(|t| kinds.kind(*t) == kind)
+                    .filter(|t| kinds.kind(TriangleId(*t)) == kind)
                     .collect()
             };
             let classes = self.classes().iter();
-            let parts =
-                classes.flat_map(|c| [keep_kind(Kind::Opaque, c), keep_kind(Kind::SeeThrough, c)]);
+            let parts = classes.flat_map(|c| {
+                [
+                    keep_kind(SurfaceKind::Opaque, c),
+                    keep_kind(SurfaceKind::SeeThrough, c),
+                ]
+            });
             let parts = parts.flat_map(|class| self.seen_together(class));
             parts.filter(|class| class.len() > 1).collect()
         })
     }
 
     fn distinct(&self) -> &[u32] {
-        // An occluder-only triangle in the place of an opaque one must not hide it.
+        // An occluder-only triangle must not hide a coincident opaque triangle.
         self.distinct
-            .get_or_init(|| self.one_of_each(&[Kind::Opaque, Kind::OccluderOnly]))
+            .get_or_init(|| self.one_of_each(&[SurfaceKind::Opaque, SurfaceKind::OccluderOnly]))
     }
 
     fn see_through(&self) -> &[u32] {
         self.see_through
             .get_or_init(|| match self.scene.kinds().all_opaque() {
                 true => Vec::new(),
-                false => self.one_of_each(&[Kind::SeeThrough]),
+                false => self.one_of_each(&[SurfaceKind::SeeThrough]),
             })
     }
 
-    /// See [`Traced::masked`] and [`Traced::coincident`].
+    /// Returns [`Traced::masked`] and [`Traced::coincident`].
     fn masked(&self) -> &(Vec<u32>, Vec<Vec<u32>>) {
         self.masked.get_or_init(|| {
             let kinds = self.scene.kinds();
@@ -240,7 +249,7 @@ impl PreparedScene {
                 class
                     .iter()
                     .copied()
-                    .filter(|t| kinds.kind(*t) == Kind::Masked)
+                    .filter(|t| kinds.kind(TriangleId(*t)) == SurfaceKind::Masked)
                     .collect()
             };
             let mut classes: Vec<Vec<u32>> = self
@@ -251,7 +260,7 @@ impl PreparedScene {
                 .collect();
             classes.iter_mut().for_each(|c| c.sort_unstable());
             classes.sort_unstable();
-            (self.one_of_each(&[Kind::Masked]), classes)
+            (self.one_of_each(&[SurfaceKind::Masked]), classes)
         })
     }
 
@@ -261,16 +270,16 @@ impl PreparedScene {
             return distinct;
         }
         self.shown.get_or_init(|| {
-            let shows = |t: &u32| kinds.kind(*t).shows();
+            let shows = |t: &u32| kinds.kind(TriangleId(*t)).shows();
             let mut shown: Vec<u32> = distinct
                 .iter()
                 .chain(see_through)
                 .copied()
                 .filter(shows)
                 .collect();
-            // Of masked triangles in one place each has its own holes.
+            // Each of several coincident masked triangles has its own holes.
             shown.extend((0..self.scene.len()).filter(|t| {
-                kinds.kind(*t) == Kind::Masked
+                kinds.kind(TriangleId(*t)) == SurfaceKind::Masked
                     && !self.scene.triangles()[*t as usize].is_degenerate()
             }));
             shown.sort_unstable();
@@ -278,28 +287,34 @@ impl PreparedScene {
         })
     }
 
-    /// A class of duplicates of one kind, or its two parts of opposite fronts when all have one side.
+    /// Splits a class of duplicates of one kind by front if all triangles have one side. Otherwise returns
+    /// the class as a whole.
     fn seen_together(&self, class: Vec<u32>) -> [Vec<u32>; 2] {
-        let faces = |t: &u32, wanted: bool| front(&self.scene, *t) == Some(wanted);
-        if class.iter().any(|t| front(&self.scene, *t).is_none()) {
+        let faces = |t: &u32, wanted: bool| front(&self.scene, TriangleId(*t)) == Some(wanted);
+        if class
+            .iter()
+            .any(|t| front(&self.scene, TriangleId(*t)).is_none())
+        {
             return [class, Vec::new()];
         }
         [true, false].map(|wanted| class.iter().copied().filter(|t| faces(t, wanted)).collect())
     }
 
-    /// The triangles with area of some kinds, in ascending order; of a class of duplicates only the first of
-    /// the first of these kinds that is in it, for each side of its plane.
-    fn one_of_each(&self, wanted: &[Kind]) -> Vec<u32> {
+    /// Returns the triangles with area of some kinds, in ascending order.
+    ///
+    /// Of a class of duplicates, returns only one triangle for each side of its plane: the first triangle of
+    /// the first of these kinds that the class contains.
+    fn one_of_each(&self, wanted: &[SurfaceKind]) -> Vec<u32> {
         let kinds = self.scene.kinds();
-        let rank = |t: u32| wanted.iter().position(|k| *k == kinds.kind(t));
+        let rank = |t: u32| wanted.iter().position(|k| *k == kinds.kind(TriangleId(t)));
         let mut kept = vec![true; self.scene.triangles().len()];
         for class in self.classes() {
             let first = [true, false].map(|side| {
                 let met = class.iter().copied().filter(|t| rank(*t).is_some());
                 let met = met
-                    .map(|t| (t, front(&self.scene, t)))
+                    .map(|t| (t, front(&self.scene, TriangleId(t))))
                     .filter(|(_, f)| *f != Some(!side));
-                // One with both sides spares the other side's.
+                // A triangle with both sides also replaces the triangle of the other side.
                 met.min_by_key(|(t, front)| (rank(*t), front.is_some(), *t))
                     .map(|(t, _)| t)
             });
@@ -318,14 +333,12 @@ impl PreparedScene {
     }
 }
 
-/// On which side of its plane a triangle is met, the same for triangles with the same vertices in any order;
-/// none when it is met from both.
-fn front(scene: &Scene, triangle: u32) -> Option<bool> {
+/// Returns the side of its plane from which a triangle is met, or `None` if it is met from both sides. The
+/// result is the same for triangles with the same vertices in any order.
+fn front(scene: &Scene, triangle: TriangleId) -> Option<bool> {
     let side = scene.sides().side(triangle);
-    let [a, b, c] = scene.triangles()[triangle as usize]
-        .v
-        .map(topology::position);
-    // Vertices that are sorted by position run one way around, up to the choice of the first.
+    let [a, b, c] = scene.triangles()[triangle.at()].v.map(topology::position);
+    // Vertices that are sorted by position run one way around, except for the choice of the first vertex.
     let sorted = [a < b, b < c, c < a]
         .into_iter()
         .filter(|ascends| *ascends)
@@ -334,7 +347,7 @@ fn front(scene: &Scene, triangle: u32) -> Option<bool> {
     (side != Side::Both).then_some(sorted == (side == Side::CounterClockwise))
 }
 
-/// Returns the place of a granularity among the rows.
+/// Returns the index of a granularity in the arrays of rows.
 fn place_of(granularity: Granularity) -> usize {
     match granularity {
         Granularity::Triangles => 0,
@@ -343,7 +356,7 @@ fn place_of(granularity: Granularity) -> usize {
     }
 }
 
-/// Refuses threads of rayon's pool.
+/// Panics on a thread of rayon's pool, because the thread could wait for itself.
 pub(crate) fn outside_the_pool() {
     assert!(
         rayon::current_thread_index().is_none(),
@@ -384,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_of_the_pool_gets_no_facts() {
+    fn thread_of_pool_gets_no_facts() {
         let scene = scene();
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(1)

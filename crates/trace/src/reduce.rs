@@ -1,13 +1,13 @@
-//! Reduces a cube image to a sample with one pass over its pixels and dense scratch memory.
+//! The reduction of a cube image to a sample, with one pass over its pixels and dense scratch memory.
 //!
-//! Gives the same as [`crate::cube::sample_of_image`], which sorts every run of pixels; here only the ids
-//! that were seen are sorted.
+//! The result equals the result of [`crate::cube::sample_of_image`], which sorts every run of pixels. This
+//! reduction sorts only the ids that were seen.
 
 use sightline_model::VisibilitySample;
 
 use crate::cube::{CubeImage, SKY, Strata};
 
-/// Scratch memory for scenes of a given size: eight bytes a triangle.
+/// Scratch memory for scenes of a given size: eight bytes per triangle.
 pub struct Reducer {
     masks: Vec<u32>,
     counts: Vec<u32>,
@@ -15,7 +15,7 @@ pub struct Reducer {
 }
 
 impl Reducer {
-    /// For ids below `triangles`.
+    /// Creates scratch memory for ids below `triangles`.
     pub fn new(triangles: usize) -> Self {
         Self {
             masks: vec![0; triangles],
@@ -24,7 +24,8 @@ impl Reducer {
         }
     }
 
-    /// Reduces `image`, whose ids must be below the size given to [`Reducer::new`]. Pixels are not kept.
+    /// Reduces `image`, whose ids must be below the size given to [`Reducer::new`]. The sample contains no
+    /// pixels.
     pub fn reduce(&mut self, image: &CubeImage, strata: Strata) -> VisibilitySample {
         let n = image.resolution;
         for (row, pixels) in image.ids.chunks_exact(n as usize).enumerate() {
@@ -33,7 +34,7 @@ impl Reducer {
             for same in pixels.chunk_by(|a, b| a == b) {
                 let (id, len) = (same[0], same.len() as u32);
                 if id != SKY {
-                    // A run may cross from the left half of a face to the right.
+                    // A run may cross from the left half of a face to the right half.
                     let first = strata.of_pixel(face, x, y, n);
                     let last = strata.of_pixel(face, x + len - 1, y, n);
                     let mask = &mut self.masks[id as usize];
@@ -75,7 +76,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_dense_reduction_is_the_sorted_one(
+        fn dense_reduction_equals_sorted_reduction(
             ids in proptest::collection::vec(prop_oneof![Just(SKY), 0u32..9], 6 * 5 * 5),
             twice in any::<bool>(),
         ) {

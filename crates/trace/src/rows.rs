@@ -1,28 +1,29 @@
-//! The rows of a block's table: one per triangle, or one per item when a job with a least share has clusters
-//! or objects.
+//! The rows of a block's table: one per triangle, or one per item.
 //!
-//! With a row for each triangle, the search knows through which triangles the neighbours of a cell see an
-//! item, so it finds small items about as often as a bake of triangles does. With a row for each item the
-//! table is small, and an item is found by its largest part. Lines meet one triangle of each class of
-//! duplicates. Where such a class belongs to several items, it has a separate row, which is added to the rows
-//! of its items in the end.
+//! Rows are items if a job with a minimum share has clusters or objects.
+//!
+//! With a row for each triangle, the search has the triangles through which the neighbours of a cell see an
+//! item. It therefore finds small items about as often as a bake of triangles does. With a row for each item
+//! the table is small, and an item is found by its largest part. Lines meet one triangle of each class of
+//! duplicates. If such a class belongs to several items, it has a separate row, which is added to the rows of
+//! its items at the end.
 
 use sightline_model::Granularity;
-use sightline_scene::Scene;
 use sightline_scene::clusters::clusters;
+use sightline_scene::{Scene, TriangleId};
 
-/// Which row of the table each triangle has.
+/// The assignment of triangles to the rows of a table.
 #[derive(Clone, Debug, Default)]
 pub struct Rows {
-    /// Row of each triangle; empty when a triangle's row is its id.
-    of: Vec<u32>,
-    /// Item of each triangle; empty when items are triangles.
+    /// The row of each triangle; empty if the row is the triangle's id.
+    by_triangle: Vec<u32>,
+    /// The item of each triangle; empty if items are triangles.
     items: Vec<u32>,
-    /// Number of items.
+    /// The number of items.
     count: u32,
-    /// For each row after the items, the items that share its triangles.
+    /// For each row after the items, the items that share the row's triangles.
     shared: Vec<Vec<u32>>,
-    /// Where rows are triangles and items are not, the triangles of each item; otherwise empty.
+    /// The triangles of each item if rows are triangles and items are not; otherwise empty.
     members: Vec<Vec<u32>>,
 }
 
@@ -30,7 +31,7 @@ pub struct Rows {
 const NONE: u32 = 0;
 
 impl Rows {
-    /// Makes a row for each triangle of a scene, where items are triangles.
+    /// Creates a row for each triangle of a scene whose items are triangles.
     pub fn triangles(scene: &Scene) -> Self {
         Self {
             count: scene.len(),
@@ -38,7 +39,7 @@ impl Rows {
         }
     }
 
-    /// Makes a row for each triangle of a scene, where items are of this granularity.
+    /// Creates a row for each triangle of a scene with items of this granularity.
     pub fn fine(scene: &Scene, granularity: Granularity) -> Self {
         let Some((items, count)) = items(scene, granularity) else {
             return Self::triangles(scene);
@@ -55,7 +56,7 @@ impl Rows {
         }
     }
 
-    /// Makes a row for each item of a scene. `duplicates` are the classes of triangles with the same three
+    /// Creates a row for each item of a scene. `duplicates` are the classes of triangles with the same three
     /// vertices.
     pub fn of_items(scene: &Scene, granularity: Granularity, duplicates: &[Vec<u32>]) -> Self {
         let Some((items, count)) = items(scene, granularity) else {
@@ -75,7 +76,7 @@ impl Rows {
             }
         }
         Self {
-            of: rows,
+            by_triangle: rows,
             items,
             count,
             shared,
@@ -83,23 +84,23 @@ impl Rows {
         }
     }
 
-    /// Returns the row of each triangle; empty when a triangle's row is its id.
+    /// Returns the row of each triangle. The list is empty if the row is the triangle's id.
     pub fn of_triangles(&self) -> &[u32] {
-        &self.of
+        &self.by_triangle
     }
 
     /// Returns the item of a triangle that can be visible.
-    pub fn item(&self, triangle: u32) -> u32 {
+    pub fn item(&self, triangle: TriangleId) -> u32 {
         if self.items.is_empty() {
-            triangle
+            triangle.0
         } else {
-            self.items[triangle as usize]
+            self.items[triangle.at()]
         }
     }
 
     /// Returns the number of rows.
     pub fn count(&self) -> usize {
-        match (&self.of[..], &self.items[..]) {
+        match (&self.by_triangle[..], &self.items[..]) {
             ([], []) => self.count as usize,
             ([], items) => items.len(),
             _ => self.count as usize + self.shared.len(),
@@ -111,12 +112,13 @@ impl Rows {
         self.count
     }
 
-    /// Returns, for each row after the items, the items that share its triangles.
+    /// Returns for each row after the items the items that share the row's triangles.
     pub fn shared(&self) -> &[Vec<u32>] {
         &self.shared
     }
 
-    /// Returns the triangles of each item where rows are triangles and items are not; otherwise nothing.
+    /// Returns the triangles of each item if rows are triangles and items are not. Otherwise the list is
+    /// empty.
     pub fn members(&self) -> &[Vec<u32>] {
         &self.members
     }
@@ -128,11 +130,11 @@ impl Rows {
 
     /// Returns true if rows are triangles and items are not.
     pub fn are_finer(&self) -> bool {
-        self.of.is_empty() && !self.items.is_empty()
+        self.by_triangle.is_empty() && !self.items.is_empty()
     }
 }
 
-/// Returns the item of each triangle and the number of items; `None` where items are triangles.
+/// Returns the item of each triangle and the number of items, or `None` if items are triangles.
 fn items(scene: &Scene, granularity: Granularity) -> Option<(Vec<u32>, u32)> {
     let mut items = vec![NONE; scene.triangles().len()];
     let count = match granularity {

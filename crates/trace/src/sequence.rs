@@ -1,4 +1,5 @@
-//! Low-discrepancy and hashed numbers. They are functions of a seed and an index, the same on every machine.
+//! Low-discrepancy and hashed numbers: functions of a seed and an index with the same values on every
+//! machine.
 
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;
@@ -8,31 +9,31 @@ use sightline_numbers::random::SplitMix64;
 pub struct Hashed(SplitMix64);
 
 impl Hashed {
-    /// The stream named by a list of numbers.
+    /// Creates the stream that a list of numbers names.
     pub fn new(names: &[u64]) -> Self {
         Self(SplitMix64::named(names))
     }
 
-    /// Sixty-four bits.
+    /// Returns the next sixty-four bits.
     pub fn bits(&mut self) -> u64 {
         self.0.bits()
     }
 
-    /// In [0, 1), with 24 bits.
+    /// Returns the next number in [0, 1), with 24 bits.
     pub fn unit(&mut self) -> f32 {
         self.0.unit_f32()
     }
 
-    /// In the unit cube.
+    /// Returns the next point in the unit cube.
     pub fn point(&mut self) -> Vec3 {
         Vec3::new(self.unit(), self.unit(), self.unit())
     }
 }
 
-/// The `i`-th point of the three-dimensional Kronecker sequence of the generalised golden ratio (Roberts
-/// 2018), shifted by `shift`; in [0, 1)³.
+/// Returns the `i`-th point of the three-dimensional Kronecker sequence of the generalised golden ratio
+/// (Roberts 2018), shifted by `shift`. The point is in [0, 1)³.
 pub fn spread3(i: u64, shift: [f32; 3]) -> [f32; 3] {
-    /// Fractions of 2³² whose multiples spread most evenly in three dimensions.
+    /// Fractions of 2³² whose multiples are distributed most evenly in three dimensions.
     const STEP: [u32; 3] = [3_518_319_155, 2_882_110_345, 2_360_945_575];
     [0, 1, 2].map(|a| {
         let t = (i as u32)
@@ -47,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hashed_streams_are_as_in_every_version() {
+    fn hashed_streams_never_change() {
         let mut none = Hashed::new(&[]);
         assert_eq!(
             [none.bits(), none.bits()],

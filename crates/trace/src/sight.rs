@@ -1,41 +1,44 @@
-//! Sight lines among triangles of all kinds: the triangle at the end of a line, and those it passes.
+//! Sight lines among triangles of all kinds: the triangle at the end of a line, and the triangles that the
+//! line passes.
 //!
-//! A line ends at the first triangle that blocks. Masked triangles before that are found by tracing among
-//! them alone, again from behind each one whose texel is open; where a texel blocks, the line ends there.
-//! The see-through triangles before the end are found in the same way. The texel is looked up on the host,
-//! so it is the same on every backend. This module is all that the samplers know of kinds while they trace;
-//! a scene of opaque triangles costs nothing here. Triangles that are met from behind and have one side
-//! ([`sightline_scene::Sides`]) are left out by the backends' tracers.
+//! A line ends at the first triangle that blocks. Masked triangles before this end are found by tracing only
+//! among masked triangles, and again from behind each triangle whose texel is open. If a texel blocks, the
+//! line ends there. The see-through triangles before the end are found in the same way. The host reads the
+//! texel, so the result is the same on every backend.
+//!
+//! Samplers access kinds only through this module while they trace. A scene of opaque triangles has no
+//! additional cost. The backends' tracers omit triangles that are met from behind and have one side
+//! ([`sightline_scene::Sides`]).
 
-use sightline_scene::{Aabb, Kind, Scene};
+use sightline_scene::{Aabb, Scene, SurfaceKind, TriangleId};
 
-use crate::backend::{Backend, LineSet};
 use crate::cube::SKY;
-use crate::error::BackendError;
+use crate::error::TracerError;
 use crate::lines::device::{DeviceBlock, Rounds};
-use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
+use crate::packet::{Halves, LANES, LineTracer, Packet, PassingTracer};
 use crate::prepared::Traced;
+use crate::tracer::{LineSet, Tracer};
 
-/// The triangles that the lines of the packets traced last show before their ends: see-through ones. At the
-/// end of a line these can also be masked ones, beside the triangle at which the line ends and in its
-/// plane.
+/// The triangles that the last traced lines show before their ends. These triangles are see-through. At the
+/// end of a line they can also be masked triangles in the plane of the triangle at which the line ends.
 #[derive(Clone, Debug, Default)]
 pub struct Passed {
     /// Line (packet · 16 + lane), triangle and distance, ascending by line, then along the line.
     found: Vec<(u32, u32, f32)>,
-    /// For each line the place of its first triangle in `found`, and the end; empty when none was found.
+    /// The index in `found` of each line's first triangle, and the end; empty if no triangle was found.
     starts: Vec<u32>,
-    /// The rays of the next step; kept to reuse its memory.
+    /// The rays of the next step, stored to reuse their memory.
     probes: Vec<Packet>,
 }
 
 impl Passed {
-    /// The triangles that a line shows beside the one at its end.
+    /// Returns the triangles that a line shows in addition to the triangle at its end.
     pub fn on(&self, packet: usize, lane: usize) -> impl Iterator<Item = u32> + Clone + use<'_> {
         self.on_at(packet, lane).map(|(triangle, _)| triangle)
     }
 
-    /// The same with their distances from the line's origin, in lengths of its direction.
+    /// Returns the triangles of [`Self::on`] with their distances from the line's origin, in lengths of its
+    /// direction.
     pub fn on_at(
         &self,
         packet: usize,
@@ -49,13 +52,13 @@ impl Passed {
         self.found[range].iter().map(|f| (f.1, f.2))
     }
 
-    /// Whether no line shows any.
+    /// Returns true if no line shows such triangles.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.starts.is_empty()
     }
 
-    /// Calls `each` with those of both halves of a line.
+    /// Calls `each` with the triangles of both halves of a line.
     #[inline]
     pub fn each_on_both(&self, halves: [usize; 2], lane: usize, mut each: impl FnMut(u32)) {
         if !self.is_empty() {
@@ -67,32 +70,32 @@ impl Passed {
     }
 }
 
-/// The least distance from a see-through or masked triangle to the next search in a scene of this size, in
-/// world units: single precision tells such places apart.
+/// Returns the minimum distance from a see-through or masked triangle to the next search in a scene of this
+/// size, in world units. Single precision distinguishes points at this distance.
 pub fn least_step(bounds: Aabb) -> f32 {
     (bounds.max - bounds.min).max_element() / (1 << 24) as f32
 }
 
-/// Traces sight lines through a scene.
+/// A tracer of sight lines through a scene of all kinds.
 pub struct SightLineTracer<'a> {
     blocking: Box<dyn LineTracer + 'a>,
     see_through: SeeThrough<'a>,
     masked: Option<Masked<'a>>,
-    /// By triangle; empty when all are opaque.
-    kinds: &'a [Kind],
-    /// Whether some triangles have one side.
+    /// The kind of each triangle; empty if all triangles are opaque.
+    kinds: &'a [SurfaceKind],
+    /// True if some triangles have one side.
     one_way: bool,
-    /// Lines end at this distance from their origin, in world units; infinite when they do not.
+    /// The distance from their origin at which lines end, in world units; infinite for unlimited sight.
     far: f32,
 }
 
-/// How the see-through triangles of a scene are found.
+/// The method that finds the see-through triangles of a scene.
 enum SeeThrough<'a> {
-    /// There are none.
+    /// The scene has no see-through triangles.
     Absent,
-    /// By themselves, when the ends of the lines are known.
+    /// The triangles are found separately, after the ends of the lines.
     After(Box<dyn LineTracer + 'a>),
-    /// Together with the ends.
+    /// The triangles are found together with the ends.
     Together(Box<dyn PassingTracer + 'a>),
 }
 
@@ -104,7 +107,7 @@ struct Masked<'a> {
 }
 
 impl Masked<'_> {
-    /// The masked triangles in the place of `triangle`, itself included.
+    /// Returns the masked triangles that coincide with `triangle`, including `triangle`.
     fn class<'b>(&'b self, triangle: &'b u32) -> &'b [u32] {
         match self
             .coincident
@@ -116,23 +119,23 @@ impl Masked<'_> {
     }
 }
 
-/// A triangle met along a line.
-struct Met {
+/// A triangle that a line meets.
+struct PassedTriangle {
     /// The line: packet · 16 + lane.
     line: u32,
-    triangle: u32,
-    /// Its distance.
+    triangle: TriangleId,
+    /// The distance of the triangle along the line.
     at: f32,
-    /// Where the search goes on behind it.
+    /// The distance behind the triangle at which the search continues.
     after: f32,
 }
 
 impl<'a> SightLineTracer<'a> {
-    /// Prepares the tracing with a backend.
+    /// Creates a tracer that uses a backend.
     ///
     /// # Errors
-    /// [`BackendError`] when the device cannot, or cannot hold the triangles.
-    pub fn new(backend: &'a dyn Backend, scene: Traced<'a>) -> Result<Self, BackendError> {
+    /// [`TracerError`] if the device does not support tracing, or cannot hold the triangles.
+    pub fn new(backend: &'a dyn Tracer, scene: Traced<'a>) -> Result<Self, TracerError> {
         let blocking = backend.lines(LineSet::Blocking, scene.distinct)?;
         let see_through = match scene.see_through {
             [] => SeeThrough::Absent,
@@ -161,7 +164,7 @@ impl<'a> SightLineTracer<'a> {
         })
     }
 
-    /// A tracer of opaque triangles.
+    /// Creates a tracer of opaque triangles.
     pub fn opaque(blocking: Box<dyn LineTracer + 'a>) -> Self {
         Self {
             blocking,
@@ -173,7 +176,7 @@ impl<'a> SightLineTracer<'a> {
         }
     }
 
-    /// The same, with lines that end at a distance from their origin, in world units.
+    /// Returns the tracer with lines that end at a distance from their origin, in world units.
     #[must_use]
     pub fn up_to(self, far: Option<f64>) -> Self {
         Self {
@@ -182,25 +185,26 @@ impl<'a> SightLineTracer<'a> {
         }
     }
 
-    /// The distance at which lines end; infinite when they do not.
+    /// Returns the distance at which lines end, in world units; infinite for unlimited sight.
     pub fn far(&self) -> f32 {
         self.far
     }
 
-    /// Whether a line can be free in one direction and not in the other, because some triangles have one
-    /// side. What a ray shows holds then along the ray only, and not for the whole line.
+    /// Returns true if a line can be free in one direction and not in the other, because some triangles have
+    /// one side. The triangles that a ray shows are then seen only along the ray, and not along the whole
+    /// line.
     pub fn is_one_way(&self) -> bool {
         self.one_way
     }
 
-    /// Puts a block on the backend's device, if it casts whole rounds by itself and all triangles are opaque.
+    /// Creates a block on the backend's device, if it casts whole rounds and all triangles are opaque.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device does.
+    /// [`TracerError::Failed`] if the device fails.
     pub fn rounds(
         &self,
         block: &DeviceBlock<'_>,
-    ) -> Result<Option<Box<dyn Rounds + '_>>, BackendError> {
+    ) -> Result<Option<Box<dyn Rounds + '_>>, TracerError> {
         match &self.see_through {
             SeeThrough::Absent if self.masked.is_none() && self.kinds.is_empty() => {
                 self.blocking.rounds(block)
@@ -209,70 +213,96 @@ impl<'a> SightLineTracer<'a> {
         }
     }
 
-    /// The best number of packets per call.
+    /// Returns the best number of packets per call.
     pub fn batch(&self) -> usize {
         self.blocking.batch()
     }
 
-    /// Fills `distance` and `triangle` of every packet, and lists what each line shows beside that. A line
-    /// that ends at an occluder-only triangle has its distance, and [`SKY`] as its triangle.
+    /// Fills `distance` and `triangle` of every packet, and lists the other triangles that each line shows.
     ///
-    /// `step` is the least distance from a see-through or masked triangle to the next search, in world units.
+    /// A line that ends at an occluder-only triangle has the triangle's distance, and [`SKY`] as its
+    /// triangle.
+    ///
+    /// `step` is the minimum distance from a see-through or masked triangle to the next search, in world
+    /// units.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device does.
+    /// [`TracerError::Failed`] if the device fails.
     pub fn trace(
         &self,
         packets: &mut [Packet],
         passed: &mut Passed,
         step: f32,
-    ) -> Result<(), BackendError> {
-        self.block(packets, passed, true)?;
-        self.pass(packets, passed, step, true)
+    ) -> Result<(), TracerError> {
+        self.find(packets, passed, step, Halves::Rays, true)
     }
 
-    /// Traces rays of different directions, each by itself, as [`Self::trace`] does for packets.
+    /// Traces rays of different directions, each separately, as [`Self::trace`] does for packets.
     ///
     /// # Errors
-    /// As [`SightLineTracer::trace`].
+    /// The errors of [`SightLineTracer::trace`].
     pub fn trace_each(
         &self,
         packets: &mut [Packet],
         passed: &mut Passed,
         step: f32,
-    ) -> Result<(), BackendError> {
-        self.block(packets, passed, false)?;
-        self.pass(packets, passed, step, false)
+    ) -> Result<(), TracerError> {
+        self.find(packets, passed, step, Halves::Rays, false)
     }
 
-    /// Finds where each line ends, and the see-through triangles before that if both are found together.
+    /// Traces both halves of lines, as [`Self::trace`] does for rays.
+    ///
+    /// The packets are pairs: lines, then the same lines [`Packet::reversed`] by `step`. Lines that are not
+    /// `coherent` have different directions.
+    ///
+    /// # Errors
+    /// The errors of [`SightLineTracer::trace`].
+    pub fn trace_lines(
+        &self,
+        packets: &mut [Packet],
+        passed: &mut Passed,
+        step: f32,
+        coherent: bool,
+    ) -> Result<(), TracerError> {
+        self.find(packets, passed, step, Halves::Lines { step }, coherent)
+    }
+
+    fn find(
+        &self,
+        packets: &mut [Packet],
+        passed: &mut Passed,
+        step: f32,
+        halves: Halves,
+        coherent: bool,
+    ) -> Result<(), TracerError> {
+        self.block(packets, passed, halves, coherent)?;
+        self.pass(packets, passed, step, halves, coherent)
+    }
+
+    /// Finds the end of each line, and the see-through triangles before the end if both are found together.
     fn block(
         &self,
         packets: &mut [Packet],
         passed: &mut Passed,
+        halves: Halves,
         coherent: bool,
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         passed.found.clear();
         passed.starts.clear();
         let is_bounded = self.far < f32::INFINITY;
-        for packet in packets.iter_mut().filter(|_| is_bounded) {
-            for lane in 0..packet.count {
+        for packet in packets.iter_mut() {
+            packet.distance = [f32::INFINITY; LANES];
+            for lane in (0..packet.count).filter(|_| is_bounded) {
                 packet.distance[lane] = self.far / packet.length(lane);
             }
         }
-        match (&self.see_through, is_bounded) {
-            (SeeThrough::Together(tracer), true) => {
-                tracer.trace_passing(packets, coherent, &mut passed.found)?;
+        match &self.see_through {
+            SeeThrough::Together(tracer) => {
+                tracer.trace_passing(packets, halves, coherent, &mut passed.found)?;
             }
-            (SeeThrough::Together(tracer), false) => {
-                packets
-                    .iter_mut()
-                    .for_each(|p| p.distance = [f32::INFINITY; LANES]);
-                tracer.trace_passing(packets, coherent, &mut passed.found)?;
+            SeeThrough::Absent | SeeThrough::After(_) => {
+                self.blocking.trace(packets, halves, coherent)?;
             }
-            (_, true) => self.blocking.trace_within(packets, coherent)?,
-            (_, false) if coherent => self.blocking.trace(packets)?,
-            (_, false) => self.blocking.trace_each(packets)?,
         }
         if !is_bounded {
             return Ok(());
@@ -280,7 +310,7 @@ impl<'a> SightLineTracer<'a> {
         for packet in packets {
             for lane in 0..packet.count {
                 let end = self.far / packet.length(lane);
-                // Also where nothing was met, and the distance is infinite.
+                // This also holds for lines without a hit, whose distance can be infinite.
                 if packet.distance[lane] > end || packet.triangle[lane] == SKY {
                     (packet.distance[lane], packet.triangle[lane]) = (end, SKY);
                 }
@@ -294,12 +324,14 @@ impl<'a> SightLineTracer<'a> {
         packets: &mut [Packet],
         passed: &mut Passed,
         step: f32,
+        halves: Halves,
         coherent: bool,
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         if self.kinds.is_empty() {
             return Ok(());
         }
-        // Masked triangles that are shown at the end of a line, beside the one at which it ends.
+        // The masked triangles that are shown at the end of a line, in addition to the triangle at which the
+        // line ends.
         let mut beside: Vec<(u32, u32, f32)> = Vec::new();
         if let Some(masked) = &self.masked {
             search(
@@ -307,17 +339,19 @@ impl<'a> SightLineTracer<'a> {
                 packets,
                 &mut passed.probes,
                 step,
+                halves,
                 coherent,
                 |packet, lane, met| {
                     let (origin, direction) = packet.ray(lane);
-                    let class = masked.class(&met.triangle).iter().copied();
-                    let mut closed =
-                        class.filter(|t| masked.scene.mask_blocks(*t, origin, direction));
+                    let class = masked.class(&met.triangle.0).iter().copied();
+                    let mut closed = class
+                        .filter(|t| masked.scene.mask_blocks(TriangleId(*t), origin, direction));
                     let Some(first) = closed.next() else {
                         return true;
                     };
                     if met.after >= packet.distance[lane] {
-                        // In the plane of the triangle at the end, like a poster on a wall: both are shown.
+                        // The triangle is in the plane of the triangle at the end, like a poster on a wall:
+                        // both are shown.
                         beside.push((met.line, first, met.at));
                     } else {
                         packet.distance[lane] = met.at;
@@ -335,9 +369,10 @@ impl<'a> SightLineTracer<'a> {
                 packets,
                 &mut passed.probes,
                 step,
+                halves,
                 coherent,
                 |_, _, met| {
-                    found.push((met.line, met.triangle, met.at));
+                    found.push((met.line, met.triangle.0, met.at));
                     true
                 },
             )?;
@@ -356,7 +391,7 @@ impl<'a> SightLineTracer<'a> {
         let is_sorted = matches!(self.see_through, SeeThrough::Together(_)) && beside.is_empty();
         passed.found.append(&mut beside);
         if !is_sorted {
-            // Stable, so along each line the order stays.
+            // The sort is stable, so the order along each line does not change.
             passed.found.sort_by_key(|f| f.0);
         }
         if !passed.found.is_empty() {
@@ -379,22 +414,25 @@ impl<'a> SightLineTracer<'a> {
     }
 }
 
-/// Calls `meet` for each triangle of a tracer that the packets' lines meet up to their ends, along each
-/// line, with the packet and the lane of the line. `meet` may let the line end sooner, and returns whether
-/// the search goes on behind the triangle.
+/// Calls `meet` for each triangle of a tracer that the packets' lines meet up to their ends, in order along
+/// each line.
+///
+/// `meet` receives the packet and the lane of the line. It may shorten the line, and returns true if the
+/// search continues behind the triangle.
 fn search(
     tracer: &dyn LineTracer,
     packets: &mut [Packet],
     probes: &mut Vec<Packet>,
     step: f32,
+    halves: Halves,
     coherent: bool,
-    mut meet: impl FnMut(&mut Packet, usize, Met) -> bool,
-) -> Result<(), BackendError> {
+    mut meet: impl FnMut(&mut Packet, usize, PassedTriangle) -> bool,
+) -> Result<(), TracerError> {
     probes.clear();
     probes.extend(packets.iter().cloned());
-    tracer.trace_within(probes, coherent)?;
-    // Lines that have found one, in the order of their probes, and how far along the line each probe begins.
-    // Most lines find none.
+    tracer.trace(probes, halves, coherent)?;
+    // The lines with a hit, in the order of their probes, and the distance along the line at which each probe
+    // begins. Most lines have no hit.
     let hit = |probes: &[Packet], place: &(usize, usize)| probes[place.0].triangle[place.1] != SKY;
     let lanes = packets
         .iter()
@@ -417,14 +455,14 @@ fn search(
             let (origin, direction) = packet.ray(lane);
             let mut hit = Packet::default();
             hit.push([0, 1, 2].map(|a| origin[a] + direction[a] * at), direction);
-            // One unit in the last place at least, so that the search ends.
+            // The step is at least one unit in the last place, so that the search ends.
             let after = (at + hit.advance(0, step)).max(at.next_up());
             let goes_on = meet(
                 packet,
                 lane,
-                Met {
+                PassedTriangle {
                     line: *line,
-                    triangle,
+                    triangle: TriangleId(triangle),
                     at,
                     after,
                 },
@@ -443,7 +481,7 @@ fn search(
             let place = probes.len() - 1;
             places.push((place, probes[place].count));
             let probe = &mut probes[place];
-            // Up to the end of the line.
+            // The probe extends to the end of the line.
             let end = packets[*line as usize / LANES].distance[*line as usize % LANES];
             probe.distance[probe.count] = end - after;
             probe.push(
@@ -452,7 +490,7 @@ fn search(
             );
         }
         open = next;
-        tracer.trace_within(probes, false)?;
+        tracer.trace(probes, Halves::Rays, false)?;
     }
     Ok(())
 }

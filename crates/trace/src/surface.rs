@@ -1,5 +1,5 @@
-//! Neighbourhoods of triangles: neighbours across edges or close by, and the Morton order of the centres, in
-//! which nearby triangles are mostly close to each other.
+//! Neighbourhoods of triangles: neighbours across edges or close by, and the Morton order of the centres.
+//! Triangles that are close in this order are mostly close in space.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -7,35 +7,36 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_numbers::random::mix;
 use sightline_scene::topology::{hash, position};
-use sightline_scene::{Scene, Triangle};
+use sightline_scene::{Scene, Triangle, TriangleId};
 
 use crate::cube::SKY;
 use crate::sequence::Hashed;
 
-/// Facts about a scene's triangles, independent of any job.
+/// The facts about a scene's triangles that do not depend on a job.
 pub struct Surface {
-    /// For each edge (v0v1, v1v2, v2v0) the next triangle around the edge; if there is none, a triangle close
-    /// by, or [`SKY`].
+    /// For each edge (v0v1, v1v2, v2v0) the next triangle around the edge. If the edge has no other triangle,
+    /// a triangle close by, or [`SKY`].
     pub neighbours: Vec<[u32; 3]>,
-    /// Triangles with area in Morton order of their centres.
+    /// The triangles with area in Morton order of their centres.
     pub morton: Vec<u32>,
 }
 
 impl Surface {
     /// Analyses the triangles `ids` of `scene`. These are the triangles that lines can meet, so no neighbour
-    /// is a duplicate, which no line meets. Two vertices are the same if their coordinates are, bit for bit.
-    pub fn of(scene: &Scene, ids: &[u32]) -> Self {
+    /// is a duplicate, which no line meets. Two vertices are equal if their coordinates are equal, bit for
+    /// bit.
+    pub fn new(scene: &Scene, ids: &[u32]) -> Self {
         let (mut neighbours, morton) =
             rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
-        stand_ins(scene, &morton, &mut neighbours);
+        add_substitutes(scene, &morton, &mut neighbours);
         Self { neighbours, morton }
     }
 }
 
 fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     let all = scene.triangles();
-    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes. Two different edges with the
-    // same hash would only make the sampler aim at the wrong neighbour.
+    // Edges are identified by a 64-bit hash of their two ends: equal edges have equal hashes. Two different
+    // edges with the same hash would only make the sampler aim at the wrong neighbour.
     let end = |v: Vec3| hash(position(v));
     let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
     edges
@@ -52,7 +53,7 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
             }
         });
     edges.par_sort_unstable();
-    // Each edge is in one group, and so each place is written once.
+    // Each edge is in one group, so each place is written once.
     let mut places: Vec<AtomicU32> = Vec::new();
     places.resize_with(3 * all.len(), || AtomicU32::new(SKY));
     edges.par_chunk_by(|a, b| a.0 == b.0).for_each(|group| {
@@ -69,14 +70,14 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
         .collect()
 }
 
-/// Gives each edge without another triangle a triangle close by in Morton order: leaves of a tree, or walls
-/// that meet without common vertices, are then flooded as if they were connected.
-fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
-    /// Offsets in Morton order to try, for the first, second and third edge.
+/// Assigns a triangle close by in Morton order to each edge without another triangle. Leaves of a tree, or
+/// walls that meet without common vertices, are then flooded as if they were connected.
+fn add_substitutes(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
+    /// The offsets in Morton order to try, for the first, second and third edge.
     const STEPS: [isize; 3] = [1, -1, 2];
-    /// Number of offsets tried: the nearest triangles may share an edge already.
+    /// The number of offsets that are tried: the nearest triangles may already share an edge.
     const LOOKS: usize = 4;
-    /// Square of the greatest distance of a substitute, in lengths of the larger of both triangles.
+    /// The square of the maximum distance of a substitute, in lengths of the larger of both triangles.
     const NEAR: f32 = 16.0;
     let v = |t: u32| scene.triangles()[t as usize].v;
     let centre = |t: u32| v(t).iter().sum::<Vec3>() / 3.0;
@@ -86,7 +87,7 @@ fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
             .max(v(t)[0].distance_squared(v(t)[2]))
     };
     let before = &*neighbours;
-    let with_stand_ins: Vec<[u32; 3]> = (0..morton.len())
+    let with_substitutes: Vec<[u32; 3]> = (0..morton.len())
         .into_par_iter()
         .map(|place| {
             let t = morton[place];
@@ -110,7 +111,7 @@ fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
             own
         })
         .collect();
-    for (t, own) in morton.iter().zip(with_stand_ins) {
+    for (t, own) in morton.iter().zip(with_substitutes) {
         neighbours[*t as usize] = own;
     }
 }
@@ -134,9 +135,9 @@ fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
     keyed.into_par_iter().map(|key| key as u32).collect()
 }
 
-/// A random point of a triangle, uniform over its area up to rounding.
-pub fn point_on(scene: &Scene, triangle: u32, random: &mut Hashed) -> [f32; 3] {
-    let v = scene.triangles()[triangle as usize].v;
+/// Returns a random point of a triangle, uniform over its area up to rounding.
+pub fn point_on(scene: &Scene, triangle: TriangleId, random: &mut Hashed) -> [f32; 3] {
+    let v = scene.triangles()[triangle.at()].v;
     let (mut a, mut b) = (random.unit(), random.unit());
     if a + b > 1.0 {
         (a, b) = (1.0 - a, 1.0 - b);
@@ -151,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn edges_have_their_neighbours_and_lone_ones_a_stand_in_that_is_near() {
+    fn edges_have_neighbours_or_near_substitutes() {
         let at = |x: f32| {
             let p = |u: f32, v: f32| Vec3::new(x + u, v, 0.0);
             [
@@ -171,20 +172,24 @@ mod tests {
             count: 5,
         }];
         let scene = Scene::new("test", triangles, objects).unwrap();
-        let surface = Surface::of(&scene, &[0, 1, 2, 3, 4]);
+        let surface = Surface::new(&scene, &[0, 1, 2, 3, 4]);
         for (t, own) in surface.neighbours.iter().enumerate() {
             assert!(!own.contains(&(t as u32)), "{t} is beside itself");
         }
-        // Across the diagonal v1v2 of the first, v2v0 of the second.
+        // Across the diagonal v1v2 of the first triangle and v2v0 of the second triangle.
         assert_eq!([surface.neighbours[0][1], surface.neighbours[1][2]], [1, 0]);
         assert_eq!([surface.neighbours[2][1], surface.neighbours[3][2]], [3, 2]);
-        let stand_ins = |t: usize| {
+        let substitutes = |t: usize| {
             surface.neighbours[t]
                 .iter()
                 .filter(|n| **n != SKY && **n / 2 != t as u32 / 2)
                 .count()
         };
-        assert!((0..4).all(|t| stand_ins(t) > 0), "{:?}", surface.neighbours);
+        assert!(
+            (0..4).all(|t| substitutes(t) > 0),
+            "{:?}",
+            surface.neighbours
+        );
         assert_eq!(surface.neighbours[4], [SKY; 3]);
         assert!(surface.neighbours[..4].iter().all(|n| !n.contains(&4)));
     }

@@ -1,4 +1,4 @@
-//! Compares the cubes of the GPU backend with a ray caster in f64 and with the reference reduction.
+//! Tests that compare the cubes of the GPU backend with a ray caster in f64 and with the reference reduction.
 //!
 //! Without a Vulkan adapter each test prints one line and returns; under `CI` it fails.
 
@@ -16,7 +16,7 @@ use sightline_scene::{Object, Scene, Triangle};
 use sightline_trace::cube::{face_basis, sample_of_image};
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::{Backend, BackendError, CubeImage, CubeSpec, SKY, Strata};
+use sightline_trace::{CubeImage, CubeSpec, SKY, Strata, Tracer, TracerError};
 
 fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
     let objects = vec![Object {
@@ -43,7 +43,7 @@ fn backend(
             println!("adapter: {}", backend.profile());
             Some(backend)
         }
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
             None
         }
@@ -57,8 +57,8 @@ fn triangle(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {
     }
 }
 
-/// The cube of half side `h` around `centre`, with two triangles for each side. Side s, numbered as the faces
-/// are, has the ids 2s and 2s + 1.
+/// Returns the cube of half side `h` around `centre`, with two triangles per side. Side s, numbered like the
+/// faces, has the ids 2s and 2s + 1.
 fn room(centre: Vec3, h: f32) -> Vec<Triangle> {
     (0..6)
         .flat_map(|face| {
@@ -75,7 +75,7 @@ fn room(centre: Vec3, h: f32) -> Vec<Triangle> {
         .collect()
 }
 
-/// Random triangles in the unit cube.
+/// Returns random triangles in the unit cube.
 fn triangles(random: &mut Hashed, count: usize, size: f32) -> Vec<Triangle> {
     (0..count)
         .map(|_| {
@@ -87,14 +87,14 @@ fn triangles(random: &mut Hashed, count: usize, size: f32) -> Vec<Triangle> {
         .collect()
 }
 
-/// Direction of the point (`x`, `y`) of a face, in pixels, by the cube's conventions, in f64.
+/// Returns the direction of the point (`x`, `y`) of a face, in pixels, by the cube's conventions, in f64.
 fn direction(face: u32, x: f64, y: f64, n: u32) -> DVec3 {
     let [f, r, u] = face_basis(face).map(|v| v.as_dvec3());
     let n = f64::from(n);
     f + r * ((2.0 * x + 1.0) / n - 1.0) + u * ((2.0 * y + 1.0) / n - 1.0)
 }
 
-/// The distance along `d` at which the ray hits the triangle. Hits count on both sides and on edges.
+/// Returns the distance along `d` at which the ray hits the triangle. Hits count on both sides and on edges.
 fn hit(t: &Triangle, eye: DVec3, d: DVec3) -> Option<f64> {
     let [a, b, c] = t.v.map(|v| v.as_dvec3() - eye);
     let volumes = [d.dot(b.cross(c)), d.dot(c.cross(a)), d.dot(a.cross(b))];
@@ -156,7 +156,7 @@ fn differing(triangles: &[Triangle], eye: Vec3, image: &CubeImage, slack: f64) -
 }
 
 #[test]
-fn each_face_of_a_room_shows_its_wall() {
+fn each_face_of_room_shows_its_wall() {
     let scene = scene(room(Vec3::new(1.0, 2.0, 3.0), 2.0));
     let Some(backend) = backend(&scene, 33, Strata::Faces, false) else {
         return;
@@ -184,14 +184,15 @@ fn each_face_of_a_room_shows_its_wall() {
     }
 }
 
-/// A small quad off centre on each face shows whether left and right, or top and bottom, are swapped.
+/// Checks that left and right, and top and bottom, are not swapped, with a small quad off centre on each
+/// face.
 #[test]
-fn faces_are_the_right_way_round() {
+fn faces_have_correct_orientation() {
     let n = 32;
     let triangles: Vec<_> = (0..6)
         .flat_map(|face| {
             let [f, r, u] = face_basis(face);
-            // Covers u in (0.25, 0.75) and v in (-0.5, -0.25): columns 20 to 27, rows 8 to 11.
+            // The quad covers u in (0.25, 0.75) and v in (-0.5, -0.25): columns 20 to 27, rows 8 to 11.
             let corner = |a: f32, b: f32| f + r * a + u * b;
             let [a, b, c, d] = [
                 corner(0.25, -0.5),
@@ -246,9 +247,9 @@ fn random_triangles_are_seen_where_rays_meet_them() {
     }
 }
 
-/// Huge triangles above, below and beside the eye, which cross the eye plane of every face.
+/// Checks huge triangles above, below and next to the eye, which cross the eye plane of every face.
 #[test]
-fn triangles_that_cross_the_eye_plane_are_clipped_rightly() {
+fn triangles_that_cross_eye_plane_are_clipped_correctly() {
     let far = 1000.0;
     let triangles = vec![
         triangle([-far, -far, -0.1], [far, -far, -0.1], [0.0, far, -0.1]),
@@ -281,8 +282,8 @@ fn triangles_that_cross_the_eye_plane_are_clipped_rightly() {
 }
 
 #[test]
-fn very_small_and_very_large_coordinates_live_together() {
-    // With metres as units: four walls two millimetres apart, inside a room of two thousand kilometres.
+fn very_small_and_very_large_coordinates_can_be_mixed() {
+    // In metres: four walls two millimetres apart, inside a room of two thousand kilometres.
     let mut triangles = room(Vec3::ZERO, 1e6);
     triangles.extend(room(Vec3::ZERO, 1e-3).into_iter().take(8));
     let scene = scene(triangles);
@@ -303,14 +304,14 @@ fn very_small_and_very_large_coordinates_live_together() {
 }
 
 #[test]
-fn the_device_reduces_as_the_reference_does() {
+fn device_reduction_equals_reference() {
     let mut random = Hashed::new(&[11]);
     let mut triangles = triangles(&mut random, 2000, 0.1);
     triangles.extend(room(Vec3::splat(0.5), 1.0).into_iter().take(5));
     let scene = scene(triangles);
     let points: Vec<_> = (0..11).map(|_| random.point()).collect();
     for strata in [Strata::One, Strata::Faces, Strata::Quadrants] {
-        // A side of 37 pixels is no multiple of the segment length, has a middle column and needs padded
+        // A side of 37 pixels is not a multiple of the segment length, has a middle column and needs padded
         // rows in the read-back.
         for (resolution, keep) in [(64, true), (37, false), (37, true), (1, true)] {
             let Some(backend) = backend(&scene, resolution, strata, keep) else {
@@ -324,7 +325,7 @@ fn the_device_reduces_as_the_reference_does() {
                 assert_eq!(*sample, sample_of_image(&image, strata, keep));
                 assert_eq!(sample.pixels.is_some(), keep);
             }
-            // A second call, and a call for each point, give the same bits.
+            // A second call, and a call for each point, result in the same bits.
             assert_eq!(samples, renderer.samples(&points).unwrap());
             for (point, sample) in points.iter().zip(&samples) {
                 assert_eq!(
@@ -338,7 +339,7 @@ fn the_device_reduces_as_the_reference_does() {
 }
 
 #[test]
-fn more_triangles_than_one_read_holds_are_all_listed() {
+fn lists_all_triangles_beyond_first_read() {
     let mut random = Hashed::new(&[5]);
     let scene = scene(triangles(&mut random, 40_000, 0.01));
     let Some(backend) = backend(&scene, 256, Strata::Faces, false) else {
@@ -354,7 +355,7 @@ fn more_triangles_than_one_read_holds_are_all_listed() {
 }
 
 #[test]
-fn a_superset_shows_itself_alone() {
+fn superset_shows_only_its_triangles() {
     let mut random = Hashed::new(&[3]);
     let scene = scene(triangles(&mut random, 3000, 0.15));
     let Some(backend) = backend(&scene, 64, Strata::Quadrants, true) else {
@@ -364,7 +365,7 @@ fn a_superset_shows_itself_alone() {
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
     for point in &points {
         let seen = whole.samples(&[*point]).unwrap().remove(0);
-        // Rendering only the visible triangles gives the same cube.
+        // Rendering only the visible triangles results in the same cube.
         let alone = backend.prepare(Some(&seen.ids)).unwrap();
         assert_eq!(alone.samples(&[*point]).unwrap().remove(0), seen);
     }
@@ -383,7 +384,7 @@ fn a_superset_shows_itself_alone() {
 }
 
 #[test]
-fn an_empty_superset_shows_sky() {
+fn empty_superset_shows_sky() {
     let scene = scene(room(Vec3::ZERO, 1.0));
     let Some(backend) = backend(&scene, 16, Strata::Faces, true) else {
         return;
@@ -430,9 +431,9 @@ fn degenerate_triangles_are_never_seen() {
     );
 }
 
-/// The winner of two coincident triangles does not depend on the other triangles drawn.
+/// Checks that the winner of two coincident triangles does not depend on the other triangles drawn.
 #[test]
-fn ties_do_not_depend_on_the_superset() {
+fn ties_do_not_depend_on_superset() {
     let mut random = Hashed::new(&[23]);
     let mut triangles = triangles(&mut random, 1500, 0.1);
     let twins = triangles.clone();

@@ -1,4 +1,5 @@
-//! Compares the GPU line tracer with a brute-force tracer in f64 and tests that no ray leaves a closed mesh.
+//! Tests that compare the GPU line tracer with a brute-force tracer in f64, and check that no ray leaves a
+//! closed mesh.
 //!
 //! Without a Vulkan adapter each test prints one line and returns; under `CI` it fails.
 
@@ -15,9 +16,9 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
-use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::packet::{Halves, LANES, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::{Backend, BackendError, CubeSpec, LineSet, SKY, Strata};
+use sightline_trace::{CubeSpec, LineSet, SKY, Strata, Tracer, TracerError};
 
 fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
     let objects = vec![Object {
@@ -33,7 +34,7 @@ fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
     };
     match GpuBackend::new(scene, spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
             None
         }
@@ -41,12 +42,12 @@ fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
     }
 }
 
-/// A random number below `n`.
+/// Returns a random number below `n`.
 fn below(random: &mut Hashed, n: usize) -> usize {
     (random.bits() % n as u64) as usize
 }
 
-/// A random point of the cube −1…1.
+/// Returns a random point of the cube −1…1.
 fn point(random: &mut Hashed) -> Vec3 {
     random.point() * 2.0 - 1.0
 }
@@ -62,18 +63,18 @@ fn packed(rays: &[(Vec3, Vec3)]) -> Vec<Packet> {
         .collect()
 }
 
-/// More ids than any scene here has; ids that the scene lacks are ignored.
+/// Returns more ids than any scene here has. Ids that the scene lacks are ignored.
 fn any() -> Vec<u32> {
     (0..1 << 20).collect()
 }
 
-/// (triangle, distance) of each ray.
+/// Returns the (triangle, distance) of each ray.
 fn traced(backend: &GpuBackend, rays: &[(Vec3, Vec3)]) -> Vec<(u32, f32)> {
     let mut packets = packed(rays);
     backend
         .lines(LineSet::Blocking, &any())
         .unwrap()
-        .trace(&mut packets)
+        .trace(&mut packets, Halves::Rays, true)
         .unwrap();
     packets
         .iter()
@@ -81,7 +82,7 @@ fn traced(backend: &GpuBackend, rays: &[(Vec3, Vec3)]) -> Vec<(u32, f32)> {
         .collect()
 }
 
-/// The distance of a hit (Möller and Trumbore 1997).
+/// Returns the distance of a hit (Möller and Trumbore 1997).
 fn hit(t: &Triangle, o: DVec3, d: DVec3) -> Option<f64> {
     let [a, b, c] = t.v.map(|v| v.as_dvec3());
     let (e, f) = (b - a, c - a);
@@ -96,7 +97,7 @@ fn hit(t: &Triangle, o: DVec3, d: DVec3) -> Option<f64> {
 }
 
 #[test]
-fn the_nearest_triangle_is_that_of_brute_force() {
+fn nearest_triangle_equals_brute_force() {
     let mut random = Hashed::new(&[0x1234_5678_9abc_def1]);
     let triangles: Vec<Triangle> = (0..400)
         .map(|_| {
@@ -174,8 +175,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
     assert!(near_edges <= 5, "{near_edges}");
 }
 
-/// A sphere of radius 1: an icosahedron whose triangles are divided into four `cuts` times. Triangles share
-/// vertices to the bit.
+/// Returns a sphere of radius 1: an icosahedron whose triangles are divided into four `cuts` times. Triangles
+/// share vertices to the bit.
 fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let g = f32::midpoint(1.0, 5f32.sqrt());
     let mut points: Vec<Vec3> = Vec::new();
@@ -219,8 +220,8 @@ fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// The cube −1…1 with n × n squares of two triangles on each side. A third of the corners are moved at
-/// random.
+/// Returns the cube −1…1 with n × n squares of two triangles on each side. A third of the corners are moved
+/// at random.
 fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let (mut points, mut known, mut faces) = (Vec::new(), BTreeMap::new(), Vec::new());
     let mut corner = |p: [i32; 3]| {
@@ -254,8 +255,8 @@ fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// Rays from inside at vertices, edges and triangles, and along the axes. A direction is `length` times the
-/// vector from the origin to the target.
+/// Returns rays from inside at vertices, edges and triangles, and along the axes. A direction is `length`
+/// times the vector from the origin to the target.
 fn inside_rays(
     points: &[Vec3],
     faces: &[[usize; 3]],
@@ -296,7 +297,7 @@ fn inside_rays(
 }
 
 #[test]
-fn no_ray_leaves_a_closed_mesh() {
+fn rays_do_not_leave_closed_mesh() {
     let mut random = Hashed::new(&[0xfeed_beef_0bad_cafe]);
     let meshes = [icosphere(4), crumpled_box(24, &mut random)];
     let mut number = 0;
@@ -309,8 +310,8 @@ fn no_ray_leaves_a_closed_mesh() {
             (1e-28, 0.0),
             (5e8, 0.0),
         ] {
-            // An offset rounds the vertices, in the same way for all triangles that share them. The near
-            // distance grows with the scene but is measured in lengths of the direction.
+            // An offset rounds the vertices equally for all triangles that share them. The near distance
+            // grows with the scene but is measured in lengths of the direction.
             let length = if scale > 1e8 { 1.0 / scale } else { 1.0 };
             let centre = Vec3::new(offset, -0.7 * offset, 0.3 * offset) * scale;
             let points: Vec<Vec3> = points.iter().map(|p| *p * scale + centre).collect();
@@ -348,7 +349,7 @@ fn no_ray_leaves_a_closed_mesh() {
 }
 
 #[test]
-fn the_same_bits_again_and_in_other_portions() {
+fn repeated_and_split_calls_have_same_bits() {
     let mut random = Hashed::new(&[77]);
     let triangles: Vec<Triangle> = (0..5_000)
         .map(|_| {
@@ -373,7 +374,7 @@ fn the_same_bits_again_and_in_other_portions() {
     let mut whole = packed(&rays);
     one.lines(LineSet::Blocking, &any())
         .unwrap()
-        .trace(&mut whole)
+        .trace(&mut whole, Halves::Rays, true)
         .unwrap();
     assert!(whole.iter().filter(|p| p.triangle[0] != SKY).count() > 1000);
     for (backend, portion) in [
@@ -386,13 +387,13 @@ fn the_same_bits_again_and_in_other_portions() {
         let tracer = backend.lines(LineSet::Blocking, &any()).unwrap();
         again
             .chunks_mut(portion)
-            .for_each(|run| tracer.trace_each(run).unwrap());
+            .for_each(|run| tracer.trace(run, Halves::Rays, false).unwrap());
         assert!(bits(&whole) == bits(&again), "portions of {portion}");
     }
 }
 
 #[test]
-fn ties_degenerate_triangles_and_walls_the_ray_begins_in() {
+fn handles_ties_degenerate_triangles_and_rays_from_walls() {
     let square = |x: f32| {
         let at = |y: f32, z: f32| Vec3::new(x, y, z);
         [
@@ -421,7 +422,8 @@ fn ties_degenerate_triangles_and_walls_the_ray_begins_in() {
     };
     let below = Vec3::new(0.0, 0.3, -0.2);
     let rays = [
-        // Begins in the wall at 0, passes the degenerate triangle at 1, hits two coincident walls at 2.
+        // The ray begins in the wall at 0, passes the degenerate triangle at 1, and hits two coincident walls
+        // at 2.
         (below, Vec3::X),
         (below, Vec3::new(1.0, 0.1, 0.05)),
         (below, Vec3::new(0.01, 0.02, -0.5)),
@@ -430,7 +432,7 @@ fn ties_degenerate_triangles_and_walls_the_ray_begins_in() {
         (below, Vec3::ZERO),
         (below, Vec3::NAN),
         (Vec3::splat(f32::INFINITY), Vec3::X),
-        // Rays in the plane of a wall see it edge-on.
+        // Rays in the plane of a wall meet it edge-on.
         (Vec3::new(3.0, 5.0, 0.0), Vec3::Y),
         (Vec3::new(0.0, -5.0, 0.0), Vec3::Y),
     ];

@@ -10,7 +10,7 @@ export async function call(service, method, request) {
   return value;
 }
 
-// The answer of an address, as JSON.
+// Returns the answer of an address, as JSON.
 export async function get(address) {
   const answer = await fetch(address);
   const value = await answer.json();
@@ -18,13 +18,13 @@ export async function get(address) {
   return value;
 }
 
-// Says what went wrong, or takes it back.
+// Shows an error message, or hides the message if there is no text.
 export function complain(text) {
   byId('message').hidden = !text;
   byId('message').textContent = text ?? '';
 }
 
-// Runs something and says what went wrong.
+// Runs a function and shows the message of its error.
 export async function attempt(work) {
   try {
     complain();

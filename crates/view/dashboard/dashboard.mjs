@@ -1,4 +1,4 @@
-// The page: which part is shown, and the stream that feeds it.
+// The page: selects the visible part, and opens the stream with the data of this part.
 import { complain } from './calls.mjs';
 import { JobPage } from './job.mjs';
 import { heardJobs, showJobs } from './jobs.mjs';
@@ -8,7 +8,7 @@ import { byId, setClock } from './words.mjs';
 const page = new JobPage();
 let source;
 
-// Shows the part that the address names: jobs, workers, or job=7.
+// Shows the part in the address: jobs, workers, or job=7.
 function go() {
   const [part, id] = location.hash.slice(1).split('=');
   const shown = part === 'job' && /^[1-9][0-9]*$/.test(id ?? '') ? 'job' : part === 'workers' ? 'workers' : 'jobs';
@@ -20,7 +20,7 @@ function go() {
   current.addEventListener('open', () => complain());
   current.addEventListener('error', () => {
     complain('The coordinator does not answer; connecting again.');
-    // A browser gives up after an answer that is no stream.
+    // A browser does not retry after an answer that is not a stream.
     if (current.readyState === EventSource.CLOSED) setTimeout(() => { if (source === current) go(); }, 3000);
   });
   current.addEventListener('clock', (e) => { setClock(Number(e.data)); showJobs(); });
@@ -28,7 +28,7 @@ function go() {
   current.addEventListener('workers', (e) => heardWorkers(JSON.parse(e.data)));
   if (shown === 'job') {
     const ready = page.show(Number(id));
-    // The first message has all tiles; their places come first.
+    // The first message contains all tiles, so load their positions before.
     current.addEventListener('job', (e) => ready.then(() => source === current && page.heard(JSON.parse(e.data))));
   }
 }

@@ -1,17 +1,17 @@
-// One job: its facts, what can be done with it, and its events.
+// One job: its facts, the actions on it, and its events.
 import { attempt, call, get } from './calls.mjs';
 import { share, stateOf } from './jobs.mjs';
 import { TileMap } from './map.mjs';
 import { Timeline } from './timeline.mjs';
 import { byId, clock, duration, element, number, short } from './words.mjs';
 
-// Events that are listed: the last ones.
+// The maximum number of listed events. The page lists the most recent events.
 const MOST_EVENTS = 200;
-// Pages of earlier events that are asked for: all that a coordinator has in memory.
+// The maximum number of pages of earlier events, which suffices for all events in a coordinator's memory.
 const MOST_PAGES = 60;
 const TROUBLE = ['FAILED', 'TAKEN_BACK', 'SET_ASIDE', 'CONFLICT'];
 
-// The method of a job's specification, and its grid of cells where it has one.
+// Returns the method of a job's specification, and its grid of cells if it has one.
 function described(spec) {
   if (spec.ambient) return { method: 'ambient occlusion' };
   const { aggressive, exact, portals } = spec.visibility ?? {};
@@ -38,7 +38,7 @@ export class JobPage {
     this.time.clear();
     byId('job-title').textContent = `Job ${id}`;
     await this.map.show(id);
-    // What happened before the stream begins.
+    // Load the events from before the start of the stream.
     for (let after = 0, pages = 0; pages < MOST_PAGES; pages++) {
       const page = await attempt(() => get(`events/${id}?after=${after}`));
       if (!page || this.id !== id || page.events.length === 0) return;
@@ -47,7 +47,7 @@ export class JobPage {
     }
   }
 
-  // Takes in an event, unless it is known already.
+  // Adds an event, unless the page knows it already.
   take(event) {
     if (number(event.number) <= this.time.seen) return;
     this.time.heard(event);
@@ -55,7 +55,7 @@ export class JobPage {
     if (this.events.length > 10000) this.events = this.events.slice(-5000);
   }
 
-  // Takes in a message about the job.
+  // Processes a message about the job.
   heard(message) {
     if (message.failure) {
       byId('job-state').textContent = message.failure;
@@ -97,7 +97,7 @@ export class JobPage {
     if (number(job.resultBytes)) facts.Result = `${short(number(job.resultBytes))}B`;
     for (const team of (job.teams ?? []).slice(0, 8)) {
       const name = `Tile ${team.tile ?? 0}`, before = facts[name] ? `${facts[name]}; ` : '';
-      facts[name] = `${before}${team.leader}${team.hasBegun ? '' : ' (not begun)'}` +
+      facts[name] = `${before}${team.leader}${team.hasBegun ? '' : ' (has not begun)'}` +
         (team.helpers?.length ? `, helped by ${team.helpers.join(', ')}` : '');
     }
     for (const unable of job.unable ?? []) facts[`Cannot help: ${unable.names.join(', ')}`] = unable.reason;
@@ -105,12 +105,12 @@ export class JobPage {
       [element('dt', name), element('dd', text)]));
   }
 
-  // What can be done with the job in its state.
+  // Shows the actions that the job's state allows.
   offer() {
     const state = stateOf(this.job), open = ['queued', 'running', 'paused'].includes(state);
     const some = number(this.job.tilesDone) > 0, aside = number(this.job.tilesSetAside) > 0;
     const now = `${state} ${some} ${aside}`;
-    // Buttons stay while somebody may be about to press them.
+    // Keep the buttons, because the user may be about to press one.
     if (this.buttons === now) return;
     this.buttons = now;
     const button = (text, method, request = {}, question = null) => {
@@ -139,8 +139,8 @@ export class JobPage {
     if (state === 'failed' || state === 'cancelled' || (state === 'done' && aside)) all.push(button('Retry', 'Retry'));
     if (!open) all.push(button('Delete', 'Delete', {}, `Delete job ${this.id} and its result?`));
     if (some) {
-      const what = state === 'done' ? 'the result' : 'what is done';
-      all.push(element('a', `Look at ${what}`, { href: `view/${this.id}`, target: '_blank' }));
+      const what = state === 'done' ? 'the result' : 'the finished tiles';
+      all.push(element('a', `View ${what}`, { href: `view/${this.id}`, target: '_blank' }));
       all.push(element('a', `Download ${what}`, { href: `results/${this.id}.pvs`, download: `job-${this.id}.pvs` }));
     }
     byId('job-buttons').replaceChildren(...all);

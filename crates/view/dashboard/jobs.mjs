@@ -5,7 +5,8 @@ const listed = new Map();
 
 export const stateOf = (job) => (job.state ?? 'JOB_STATE_UNSPECIFIED').slice(10).toLowerCase();
 
-// The share of a job that is done: of its cells if their number is known, otherwise of its tiles.
+// Returns the finished share of a job: the share of its cells if their number is known, otherwise of its
+// tiles.
 export function share(job) {
   const cells = number(job.cellsTotal);
   if (stateOf(job) === 'done') return 1;
@@ -14,7 +15,7 @@ export function share(job) {
   return tiles > 0 ? (number(job.tilesDone) + number(job.tilesSetAside)) / tiles : 0;
 }
 
-// Takes in a message about jobs.
+// Processes a message about jobs.
 export function heardJobs(message) {
   if (message.whole) listed.clear();
   for (const job of message.jobs) listed.set(number(job.id), job);
@@ -25,7 +26,7 @@ export function heardJobs(message) {
   showJobs();
 }
 
-// Ages grow without any message.
+// The ages of jobs grow without messages, so this also runs on a timer.
 export function showJobs() {
   const ids = [...listed.keys()].sort((a, b) => b - a);
   byId('job-rows').replaceChildren(...ids.map((id) => row(listed.get(id), serverNow())));

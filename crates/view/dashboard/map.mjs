@@ -1,8 +1,8 @@
-// The tiles of a job from above, coloured by how they stand.
+// The map of a job's tiles from above, coloured by state.
 import { attempt, call } from './calls.mjs';
 import { byId, element } from './words.mjs';
 
-// Names and colours of the states 1 to 6.
+// The names and colours of the tile states 1 to 6.
 export const STATES = [null, ['waiting', '#b8b8b8'], ['ready', '#7f9cc0'], ['leased', '#e0b34d'],
   ['running', '#2f7ed8'], ['done', '#2e9e5b'], ['set aside', '#c0392b']];
 const NAMES = { WAITING: 1, READY: 2, LEASED: 3, RUNNING: 4, DONE: 5, SET_ASIDE: 6 };
@@ -18,19 +18,19 @@ export class TileMap {
     byId('map-layer').addEventListener('input', () => this.draw());
   }
 
-  // Begins with another job.
+  // Shows another job.
   async show(job) {
     this.job = job;
     this.states = new Uint8Array(0);
     this.boxes = new Float32Array(0);
-    byId('map-tile').textContent = 'Click on a tile to see who computes it.';
+    byId('map-tile').textContent = 'Click on a tile to see which workers compute it.';
     let next = 0;
     do {
       const page = await attempt(() => call('Farm', 'ListTiles', { job, first: next, limit: PAGE }));
       if (!page || this.job !== job) return;
       if (this.boxes.length === 0) {
         this.boxes = new Float32Array(6 * (page.total ?? 0)).fill(NaN);
-        // How they stand now may have come before.
+        // The current states may have arrived before the positions.
         if (this.states.length !== (page.total ?? 0)) this.states = new Uint8Array(page.total ?? 0);
       }
       for (const tile of page.tiles ?? []) {
@@ -44,7 +44,7 @@ export class TileMap {
     this.draw();
   }
 
-  // Takes in how tiles stand: a digit for each tile, or pairs of tile and state.
+  // Processes the states of tiles: one digit per tile, or pairs of tile and state.
   heard(tiles) {
     if (typeof tiles === 'string') {
       this.states = Uint8Array.from(tiles, (digit) => Number(digit));
@@ -54,7 +54,7 @@ export class TileMap {
     this.draw();
   }
 
-  // The axis that points up, and the two of the plan.
+  // Returns the axis that points up, and the two axes of the map.
   axes() {
     const up = Number(byId('map-up').value);
     return [up, ...[[2, 1], [0, 2], [1, 0]][up]];
@@ -68,7 +68,7 @@ export class TileMap {
     byId('map-layer').value = -1;
   }
 
-  // From the plan to the canvas.
+  // Returns the transformation from the map to the canvas.
   scale() {
     const [, x, y] = this.axes();
     let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
@@ -99,13 +99,13 @@ export class TileMap {
 
   paint() {
     const pen = this.canvas.getContext('2d'), level = this.level();
-    byId('map-which').textContent = level === null ? 'all, the upper ones in front' : `from ${level}`;
+    byId('map-which').textContent = level === null ? 'all layers, upper tiles in front' : `layer from ${level}`;
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     const counts = new Array(STATES.length).fill(0);
     for (const state of this.states) counts[state] += 1;
     byId('map-legend').replaceChildren(...STATES.slice(1).map(([name, color], i) => {
       const swatch = element('span', '', { class: 'swatch' });
-      // The page's policy forbids attributes of style.
+      // The page's policy forbids style attributes.
       swatch.style.background = color;
       return element('li', [swatch, `${counts[i + 1]} ${name}`]);
     }));

@@ -1,10 +1,10 @@
-// What the workers did for a job, as bars over time.
+// The work of the workers on a job, as bars over time.
 import { byId, clock, duration, number } from './words.mjs';
 
-// Bars that are drawn: the last ones.
+// The maximum number of drawn bars. The page draws the most recent bars.
 const MOST_BARS = 50000;
 const COLORS = { done: '#2e9e5b', failed: '#c0392b', taken: '#e0b34d', open: '#2f7ed8' };
-// After this no tile of the job is at work.
+// The events after which no worker computes a tile of the job.
 const STOPS = /^(the job (is cancelled|is done|has failed)|tiles at work are stopped)/;
 const LEFT = 140, FOOT = 18;
 
@@ -23,7 +23,7 @@ export class Timeline {
     this.seen = 0;
   }
 
-  // Takes in an event.
+  // Processes an event.
   heard(event) {
     this.seen = Math.max(this.seen, number(event.number));
     const at = number(event.atMs), kind = (event.kind ?? '').slice(11), tile = event.tile ?? -1;
@@ -35,9 +35,9 @@ export class Timeline {
       this.open.set(key, { tile, worker: event.worker ?? '', from: at });
     } else if (kind === 'DONE' || kind === 'FAILED' || kind === 'TAKEN_BACK') {
       const how = { DONE: 'done', FAILED: 'failed', TAKEN_BACK: 'taken' }[kind];
-      // Of a worker that is gone the name may not be known.
+      // If a worker has disconnected, its name may be unknown.
       this.close((bar) => bar.tile === tile && (!event.worker || bar.worker === event.worker), at, how);
-      // A tile that two workers computed is done for both.
+      // A tile that two workers computed is finished for both.
       if (kind === 'DONE') this.close((bar) => bar.tile === tile, at, 'taken');
     } else if (kind === 'ROUND') {
       for (const bar of this.open.values()) {
@@ -49,7 +49,7 @@ export class Timeline {
     }
   }
 
-  // Ends the open bars of some tiles.
+  // Ends the open bars for which `which` returns true. `how` is the key of their colour.
   close(which, at, how) {
     for (const [key, bar] of this.open) {
       if (which(bar)) {
@@ -90,8 +90,8 @@ export class Timeline {
       pen.fillText(clock(start), LEFT, foot);
       pen.fillText(clock(end), LEFT + wide - 60, foot);
     }
-    byId('time-note').textContent = bars.length === 0 ? 'No tile was leased yet, or it is too long ago.' :
-      `${names.length} ${names.length === 1 ? 'worker' : 'workers'} over ${duration(end - start)}: green bars are finished tiles, blue ones are at work, ` +
-      'yellow ones were taken back, red ones failed; black marks end a phase.';
+    byId('time-note').textContent = bars.length === 0 ? 'No tile was leased yet, or the page has no events from that time.' :
+      `${names.length} ${names.length === 1 ? 'worker' : 'workers'} over ${duration(end - start)}: green bars are finished tiles, blue bars are tiles at work, ` +
+      'yellow bars are tiles that were taken back, red bars are failed tiles; black marks end a phase.';
   }
 }

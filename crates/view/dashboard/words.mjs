@@ -1,6 +1,6 @@
-// Numbers and durations in words, and elements of the page.
+// Formatting of numbers and durations, and elements of the page.
 
-// A field of a message: numbers of 64 bits are text in JSON, and zeros are left out.
+// Returns a field of a message as a number. In JSON, numbers of 64 bits are text, and zeros are omitted.
 export const number = (value) => Number(value ?? 0);
 
 export function duration(ms) {
@@ -11,7 +11,7 @@ export function duration(ms) {
   return s < 172800 ? `${(s / 3600).toFixed(1)} h` : `${Math.round(s / 86400)} days`;
 }
 
-// A great number with a unit, as 1.2 M.
+// Formats a large number with a unit, for example 1.2 M.
 export function short(n) {
   for (const [size, unit] of [[1e12, 'T'], [1e9, 'G'], [1e6, 'M'], [1e3, 'k']]) {
     if (n >= size) return `${(n / size).toPrecision(3)} ${unit}`;
@@ -19,18 +19,18 @@ export function short(n) {
   return n.toFixed(n < 10 && n % 1 ? 1 : 0);
 }
 
-// The time of day, with the date where it is another day.
+// Formats the time of day, with the date if it is another day.
 export function clock(ms) {
   const at = new Date(ms);
   return at.toDateString() === new Date().toDateString() ? at.toLocaleTimeString() : at.toLocaleString();
 }
 
-// The coordinator's clock, which may differ from this machine's.
+// The offset of the coordinator's clock, which may differ from this machine's clock, in milliseconds.
 let ahead = 0;
 export const setClock = (ms) => { ahead = ms - Date.now(); };
 export const serverNow = () => Date.now() + ahead;
 
-// An element with text or children.
+// Creates an element with text or children.
 export function element(name, content, attributes = {}) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);

@@ -1,7 +1,7 @@
 // The list of workers.
 import { byId, duration, element, number, serverNow, short } from './words.mjs';
 
-// Rows that are made: a page with thousands helps nobody.
+// The maximum number of rows. A page with thousands of rows is not useful.
 const MOST_ROWS = 300;
 let last = { workers: [], nowMs: 0 };
 
@@ -25,7 +25,7 @@ function workerRow(w, now) {
     return held.hasBegun ? `${of} for ${duration(now - number(held.sinceMs))}, ${number(held.cells)} cells` : `waits with ${of}`;
   });
   if (w.helps) does.push(`helps with tile ${w.helps.tile ?? 0} of job ${w.helps.job}`);
-  if (w.draining) does.push('takes no more tiles');
+  if (w.draining) does.push('accepts no further tiles');
   if (w.trouble) does.push(w.trouble);
   const busy = number(w.busyMillis);
   return element('tr', [

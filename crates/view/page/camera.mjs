@@ -1,13 +1,14 @@
-// The eye and how it moves: by mouse, keys and touch; walking on the ground and not through walls, or flying.
+// The camera of the page, which mouse, keys and touch move. The camera either flies, or walks on the ground
+// and stops at walls.
 
 import { add, cross, norm, unit } from './math.mjs';
 
 const ANGLE = 70 * Math.PI / 180;
-// The distance kept from walls, and the greatest step up, as fractions of the eye's height.
+// The minimum distance from walls, and the maximum height of a step, as fractions of the eye's height.
 const APART = 0.2, STEP = 0.45;
 
 export class Camera {
-  // `upAxis` is 1 or 2; `size` is the length of the scene.
+  // `upAxis` is 1 or 2, and `size` is the length of the scene.
   constructor(upAxis, size) {
     this.turned = (v) => upAxis === 1 ? v : [v[0], -v[2], v[1]];
     this.up = this.turned([0, 1, 0]);
@@ -33,20 +34,20 @@ export class Camera {
     this.pitch = Math.max(-1.55, Math.min(1.55, this.pitch + dy));
   }
 
-  // Looks along a direction.
+  // Turns the camera to a direction.
   toward(d) {
     const [x, y, z] = this.up[1] ? d : [d[0], d[2], -d[1]];
     this.yaw = Math.atan2(x, -z);
     this.pitch = Math.max(-1.55, Math.min(1.55, Math.atan2(y, Math.hypot(x, z))));
   }
 
-  // The eye's height above what is below it.
+  // Returns the height of the eye above the triangle below it, or null without such a triangle.
   above(tracer) {
     const down = this.up.map((c) => -c), [hit, t] = tracer.first_hit(this.eye, down);
     return hit < 0 ? null : t;
   }
 
-  // Moves for some seconds; gives whether the eye moved.
+  // Moves for a number of seconds. Returns true if the eye moved or turned.
   move(seconds, tracer) {
     const k = this.keys, level = this.turned([Math.sin(this.yaw), 0, -Math.cos(this.yaw)]);
     const ahead = this.walks ? level : this.forward, right = unit(cross(ahead, this.up));
@@ -64,7 +65,7 @@ export class Camera {
     }
     const before = this.eye;
     if (along || aside) this.step(unit(d), far, tracer);
-    // Falls and climbs to the eye's height.
+    // Fall or climb to the eye's height.
     const above = this.above(tracer);
     if (above !== null) {
       const off = this.height - above;
@@ -74,14 +75,14 @@ export class Camera {
     return turn !== 0 || this.eye.some((x, a) => Math.abs(x - before[a]) > 1e-7 * this.size);
   }
 
-  // Goes along a level direction, up to what is in the way at the height of the eye or of the knee.
+  // Moves along a level direction, up to an obstacle at the height of the eye or of the knee.
   step(to, far, tracer) {
     const apart = APART * this.height, knee = add(this.eye, this.up, -(1 - STEP) * this.height);
     const free = (p) => Math.max(0, tracer.first_hit(p, to)[1] - apart);
     this.eye = add(this.eye, to, Math.min(far, free(this.eye), free(knee)));
   }
 
-  // Moves by two fingers: aside and ahead.
+  // Moves sideways and ahead, for a gesture of two fingers.
   drag(aside, ahead, tracer) {
     const forward = this.walks ? this.turned([Math.sin(this.yaw), 0, -Math.cos(this.yaw)]) : this.forward;
     const d = add(add([0, 0, 0], forward, ahead), unit(cross(forward, this.up)), aside), far = norm(d);

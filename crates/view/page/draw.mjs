@@ -1,8 +1,8 @@
-// Draws triangles, each with a colour of its own or not at all, lines and translucent boxes, with WebGL2. A texture
-// holds the colours, so another set of triangles costs one upload.
+// Draws triangles with individual colours, lines and translucent boxes with WebGL2. A texture contains the
+// colours, so another set of triangles costs one upload.
 
 const WIDTH = 2048;
-// In the texture's fourth number: not drawn, or drawn.
+// The values of the texture's fourth number: the triangle is not drawn, or drawn.
 const SKIP = 0, DRAW = 255;
 
 const SOLID = `#version 300 es
@@ -100,7 +100,7 @@ export class Renderer {
     return { program, view: of('view'), eye: of('eye') };
   }
 
-  // Points with colours: seven numbers each.
+  // Creates a layer of points with colours, seven numbers each.
   #layer() {
     const { gl } = this, array = gl.createVertexArray(), buffer = gl.createBuffer();
     gl.bindVertexArray(array);
@@ -124,7 +124,8 @@ export class Renderer {
     return { frame, colour: gl.createRenderbuffer(), depth: gl.createRenderbuffer(), size: [0, 0] };
   }
 
-  // Sets the colour of every triangle: `of(id)` is 0xrrggbb, or -1 for what is not drawn. Gives how many are.
+  // Sets the colour of every triangle. `of(id)` returns 0xrrggbb, or -1 to skip the triangle. Returns the
+  // number of drawn triangles.
   colour(of) {
     const { gl, texels } = this;
     let drawn = 0;
@@ -142,10 +143,11 @@ export class Renderer {
     return drawn;
   }
 
-  // Lines as [from, to, [r, g, b, a]]; those of cells change more seldom.
+  // Sets the lines as [from, to, [r, g, b, a]]. The lines of cells are a separate layer, because they change
+  // less often.
   lines(all, layer = 'lines') { this.#fill(this.layers[layer], all.flatMap(([p, q, c]) => [...p, ...c, ...q, ...c])); }
 
-  // Translucent boxes as [least and greatest corner in six numbers, [r, g, b, a]].
+  // Sets translucent boxes as [lowest and highest corner in six numbers, [r, g, b, a]].
   boxes(all) {
     const corner = (b, k) => [b[k & 1 ? 3 : 0], b[k & 2 ? 4 : 1], b[k & 4 ? 5 : 2]];
     const faces = [0, 1, 3, 0, 3, 2, 4, 5, 7, 4, 7, 6, 0, 1, 5, 0, 5, 4, 2, 3, 7, 2, 7, 6, 0, 2, 6, 0, 6, 4, 1, 3, 7, 1, 7, 5];
@@ -193,7 +195,7 @@ export class Renderer {
     gl.disable(gl.BLEND);
   }
 
-  // The triangle at a place of the canvas, in CSS pixels; -1 for none.
+  // Returns the triangle at a position of the canvas in CSS pixels, or -1 if there is no triangle.
   at(x, y, view, eye) {
     const { gl, canvas, pick } = this, ratio = canvas.width / canvas.clientWidth;
     gl.bindFramebuffer(gl.FRAMEBUFFER, pick.frame);

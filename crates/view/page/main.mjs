@@ -1,4 +1,4 @@
-// The page: what is drawn from the cell of the eye, the panel, and clicks.
+// The page: the triangles drawn from the cell of the eye, the panel, and clicks.
 
 import { Pvs } from './pvs.mjs';
 import { Renderer } from './draw.mjs';
@@ -10,14 +10,14 @@ import { norm, product, projection, random, sub, viewMatrix } from './math.mjs';
 const byId = (id) => document.getElementById(id);
 const RED = 0xc8362f, YELLOW = 0xe8c547, BLUE = 0x4f9dff, ORANGE = 0xff8c2e;
 const GREEN_LINE = [0.35, 1, 0.45, 1], RED_LINE = [1, 0.25, 0.5, 1], WHITE_LINE = [1, 1, 1, 0.9];
-// Boxes that are drawn at most; more would be a fog.
+// The maximum number of drawn boxes. More boxes would hide each other.
 const MOST_BOXES = 20000;
 
 const number = (n) => n.toLocaleString('en').replaceAll(',', ' ');
 const short = (x) => x === 0 ? '0' : Math.abs(x) < 1e-3 || Math.abs(x) >= 1e6 ? x.toExponential(2) : +x.toPrecision(4);
 const percent = (a, b) => `${(100 * a / Math.max(1, b)).toFixed(1)} %`;
 
-// A gzipped block of the page.
+// Decodes and decompresses a block of the page.
 async function unpack(id) {
   const text = byId(id).textContent.trim();
   if (!text) return null;
@@ -28,8 +28,8 @@ async function unpack(id) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// The corners and kinds of the scene's triangles: for each of 4 bytes and 9 coordinates the bytes of all
-// triangles, then a byte for each: bit 0 blocks, bit 1 shows.
+// Decodes the corners and kinds of the scene's triangles. For each of 4 bytes and 9 coordinates, the block
+// contains the bytes of all triangles. One byte per triangle follows: bit 0 if it blocks, bit 1 if it shows.
 function geometry(bytes, count) {
   const out = new Uint8Array(36 * count);
   for (let b = 0; b < 4; b++) {
@@ -40,7 +40,7 @@ function geometry(bytes, count) {
   return { at: new Float32Array(out.buffer), kinds: bytes.subarray(36 * count) };
 }
 
-// A pale colour for each object.
+// Returns a pale colour for each object.
 function paint(k) {
   const h = (k * 0.618034 + 0.1) % 1 * 6, f = (s) => 0.72 + 0.2 * Math.max(-1, Math.min(1, Math.abs((h + s) % 6 - 3) - 1.5));
   return [0, 4, 2].reduce((all, s) => all * 256 + Math.round(255 * f(s)), 0);
@@ -95,7 +95,7 @@ class Page {
     requestAnimationFrame(frame);
   }
 
-  // The middle of a cell, or a point of it where viewpoints are.
+  // Returns a known viewpoint of a cell, or the centre of the cell.
   place(cell) {
     const p = this.values?.places?.subarray(3 * cell, 3 * cell + 3);
     if (p && Number.isFinite(p[0])) return [...p];
@@ -105,12 +105,13 @@ class Page {
 
   go(cell) {
     if (!(Number.isInteger(cell) && cell >= 0 && cell < this.pvs.cells)) {
-      return this.say(`There is no cell ${cell}: the result has ${number(this.pvs.cells)}, from 0.`);
+      return this.say(`There is no cell ${cell}: the result has ${number(this.pvs.cells)} cells, counted from 0.`);
     }
     this.jump(this.place(cell), this.widest(this.place(cell)));
   }
 
-  // The level direction with the longest free way to something; else that of the middle of the view box.
+  // Returns the horizontal direction with the longest free distance to a triangle. If no ray meets a
+  // triangle, returns the direction to the centre of the view box.
   widest(from) {
     const box = this.pvs.viewBox, middle = [0, 1, 2].map((k) => (box[k] + box[k + 3]) / 2 - from[k]);
     let best = [0, norm(middle) > 0 ? middle : null];
@@ -130,7 +131,7 @@ class Page {
     this.draw();
   }
 
-  // Draws a frame, after taking up the set of the cell of the eye.
+  // Draws a frame. If the eye is in another cell than before, first loads the set of this cell.
   draw() {
     const { camera, renderer, pvs } = this;
     const here = pvs.cellOf(...camera.eye);
@@ -149,7 +150,7 @@ class Page {
 
   isCell() { return this.cell >= 0 && this.pvs.isReached(this.cell); }
 
-  // Takes up the set of the current cell, and colours the triangles.
+  // Loads the set of the current cell, and colours the triangles.
   recolour() {
     const { pvs, cell } = this, n = pvs.triangles, state = this.state = new Uint8Array(n);
     const ofCell = this.isCell();
@@ -189,7 +190,7 @@ class Page {
     this.dirty = true;
   }
 
-  // Lines and boxes.
+  // Updates the lines and boxes.
   overlay() {
     const { pvs, values } = this, lines = [], boxes = [], which = byId('boxes').value, heat = byId('heat').value;
     const edges = (b, c, lines) => {
@@ -202,14 +203,14 @@ class Page {
     const some = Math.min(pvs.cells, MOST_BOXES);
     if (which !== 'none' && this.cell >= 0) edges(box(this.cell), WHITE_LINE, lines);
     byId('scale').hidden = heat === '';
-    // Boxes of all cells change with the choice alone.
+    // The boxes of all cells change only when the user selects another option.
     const isNew = this.overlaid !== `${which} ${heat}`;
     this.overlaid = `${which} ${heat}`;
     if (isNew) {
       const all = [];
       if (which === 'all') for (let k = 0; k < some; k++) if (pvs.isReached(k)) edges(box(k), [0.5, 0.6, 0.75, 0.6], all);
       this.renderer.lines(all, 'cells');
-      if (some < pvs.cells && (which === 'all' || heat !== '')) this.say(`Of the cells the first ${number(some)} are drawn.`, false);
+      if (some < pvs.cells && (which === 'all' || heat !== '')) this.say(`Only the boxes of the first ${number(some)} cells are drawn.`, false);
     }
     if (heat !== '') {
       const { data, name } = values.maps[+heat];
@@ -252,13 +253,13 @@ class Page {
       : !pvs.isReached(cell) ? `Cell ${cell}: no viewpoints are in it, everything is drawn`
       : `Cell ${number(cell)} of ${number(pvs.cells)}: ${number(counts.inSet)} of ${number(n)} triangles (${percent(counts.inSet, n)})`;
     const undecided = counts.undecided ? `, ${number(counts.undecided)} of them undecided` : '';
-    const aside = cell >= 0 && pvs.isSetAside(cell) ? '; its tile failed, so it shows everything' : '';
+    const aside = cell >= 0 && pvs.isSetAside(cell) ? '; the tile of the cell failed, so the cell shows everything' : '';
     const frozen = byId('freeze').checked ? ' – frozen' : '';
-    const text = `${where}${undecided}${aside}${frozen}. ${this.rate ? `${this.rate} frames a second.` : ''}`;
+    const text = `${where}${undecided}${aside}${frozen}. ${this.rate ? `${this.rate} frames per second.` : ''}`;
     if (byId('status').textContent !== text) byId('status').textContent = text;
   }
 
-  // What is clicked, and why it is visible or hidden from the current cell.
+  // Selects the clicked triangle, and explains why it is visible or hidden from the current cell.
   click(x, y) {
     const id = this.renderer.at(x, y, this.matrix, this.camera.eye);
     this.dirty = true;
@@ -269,7 +270,7 @@ class Page {
     if (id < 0 || id >= this.pvs.triangles) {
       [this.selected, this.answer] = [null, null];
       byId('ask').hidden = true;
-      byId('why').textContent = 'Click something to see why it is visible or hidden.';
+      byId('why').textContent = 'Click a triangle to see why it is visible or hidden.';
       return this.paint();
     }
     const object = this.pvs.objects[this.objectOf[id]];
@@ -281,12 +282,13 @@ class Page {
     const name = whole ? `Object “${object.name}”` : `Triangle ${id} of “${object.name}”`;
     if (!this.isCell()) {
       this.answer = null;
-      byId('why').textContent = `${name}. Here is no cell with viewpoints, so there is nothing to ask.`;
+      byId('why').textContent = `${name}. The eye is in no cell with viewpoints, so the page cannot give a reason.`;
       return this.paint();
     }
     const seen = ids.filter((k) => this.state[k] & 1), open = seen.filter((k) => this.state[k] & 2);
     const box = this.pvs.boxes.subarray(6 * this.cell, 6 * this.cell + 6);
-    // Where viewpoints are in a region alone, they are joined with the one that is known.
+    // If viewpoints are restricted to a region, use only points that a free segment connects with the known
+    // viewpoint.
     const from = { base: this.values.places ? this.base() : null, eye: this.camera.eye, far: this.meta.far ?? Infinity };
     const answer = why(this.tracer, [...box], from, seen.length ? seen : ids, id + 1);
     answer.missed = !seen.length && !!answer.seen;
@@ -297,7 +299,8 @@ class Page {
     this.paint();
   }
 
-  // Asks the server for an exact answer about the clicked triangle, unless something else is clicked meanwhile.
+  // Requests an exact answer about the clicked triangle. Ignores the answer if the user has selected another
+  // triangle.
   async ask() {
     const { selected, meta } = this;
     byId('ask').disabled = true;
@@ -308,14 +311,14 @@ class Page {
     if (answer.seen) answer.opening = opening(this.tracer, answer.seen, this.size);
     this.answer = answer;
     const names = [...new Set(answer.blockers.map(([id]) => this.pvs.objects[this.objectOf[id]].name))].slice(0, 4);
-    const by = names.length ? ` ${answer.blockers.length === 1 ? 'One triangle hides' : `${number(answer.blockers.length)} triangles hide`} it (orange), of ${names.map((n) => `“${n}”`).join(', ')}.` : '';
-    const at = answer.opening ? ` It passes an opening ${short(answer.opening.width)} wide (white).` : '';
-    const along = answer.seen ? ` The segment from (${answer.seen[0].map(short).join(', ')}) is its witness (green).${at}` : '';
+    const by = names.length ? ` ${answer.blockers.length === 1 ? 'One triangle hides' : `${number(answer.blockers.length)} triangles hide`} the target (orange), in ${names.map((n) => `“${n}”`).join(', ')}.` : '';
+    const at = answer.opening ? ` The segment passes an opening ${short(answer.opening.width)} wide (white).` : '';
+    const along = answer.seen ? ` The segment from (${answer.seen[0].map(short).join(', ')}) is the witness (green).${at}` : '';
     byId('why').textContent = `Triangle ${selected.id} of “${selected.object.name}” from cell ${selected.cell}: ${answer.words}${along}${by}`;
     this.paint();
   }
 
-  // A viewpoint of the cell.
+  // Returns a viewpoint of the current cell, or null if no viewpoint is known.
   base() {
     const p = this.place(this.cell);
     return p.every(Number.isFinite) ? p : null;
@@ -325,18 +328,18 @@ class Page {
     const from = seen && ` from (${seen[0].map(short).join(', ')})`;
     const ask = this.meta.ask ? '“Ask exactly”' : `\`sightline query OUT.pvs ${this.place(this.cell).map(short).join(' ')} --why ${this.selected.id} --scene SCENE\``;
     const { caveat } = this.meta, exact = this.pvs.method !== 'aggressive';
-    if (missed && (caveat || exact)) return `A free segment${from} reaches it in the page (red)${caveat ? `, which does not know ${caveat}` : ''}. ${ask} decides it.`;
-    if (missed) return `But a free segment${from} reaches it (red): the set misses it. A smaller --target-error or --method exact finds it.`;
+    if (missed && (caveat || exact)) return `A free segment${from} reaches the target in the page (red)${caveat ? `, which ignores ${caveat}` : ''}. ${ask} gives the exact answer.`;
+    if (missed) return `But a free segment${from} reaches the target (red): the set misses the target. A smaller --target-error or --method exact avoids this.`;
     if (seen) {
-      const passes = at ? ` It passes an opening ${short(at.width)} wide (white).` : '';
-      return `A free segment${from} reaches it (green).${passes}`;
+      const passes = at ? ` The segment passes an opening ${short(at.width)} wide (white).` : '';
+      return `A free segment${from} reaches the target (green).${passes}`;
     }
-    if (!rays) return 'No viewpoint was found to look from.';
+    if (!rays) return 'The page found no viewpoint in the cell from which to cast rays.';
     const names = [...new Set(blockers.map(([id]) => this.pvs.objects[this.objectOf[id]].name))].slice(0, 4);
-    const by = `the first ${blockers.length} triangles in the way are orange (${names.map((n) => `“${n}”`).join(', ')})`;
+    const by = `the first ${blockers.length} blocking triangles are orange (${names.map((n) => `“${n}”`).join(', ')})`;
     return inSet
-      ? `None of ${number(rays)} rays reached it; ${by}. Its witness is elsewhere, or it is drawn because it is undecided.`
-      : `All of ${number(rays)} rays were blocked; ${by}. Rays prove nothing; ${ask} does.`;
+      ? `None of ${number(rays)} rays reached the target; ${by}. The page did not find a witness, or the target is undecided and therefore drawn.`
+      : `All of ${number(rays)} rays were blocked; ${by}. Rays do not prove that the target is hidden; ${ask} does.`;
   }
 
   controls() {
@@ -369,7 +372,7 @@ class Page {
     for (const frame of meta.worst) {
       const item = document.createElement('li'), link = document.createElement('a');
       link.href = '#';
-      link.textContent = `${(100 * frame.error).toFixed(3)} % wrong, cell ${frame.cell}`;
+      link.textContent = `${(100 * frame.error).toFixed(3)} % wrong pixels, cell ${frame.cell}`;
       link.onclick = (e) => { e.preventDefault(); this.jump(frame.viewpoint, this.widest(frame.viewpoint)); };
       item.append(link);
       byId('frames').append(item);
@@ -384,7 +387,7 @@ class Page {
     addEventListener('keyup', (e) => camera.keys.delete(e.code));
     addEventListener('blur', () => camera.keys.clear());
     addEventListener('resize', () => { this.dirty = true; });
-    canvas.addEventListener('webglcontextlost', () => this.say('The browser took the graphics away; load the page again.'));
+    canvas.addEventListener('webglcontextlost', () => this.say('The browser stopped WebGL for this page; load the page again.'));
     canvas.addEventListener('wheel', (e) => {
       e.preventDefault();
       camera.speed = Math.max(this.size * 1e-4, Math.min(this.size, camera.speed * Math.exp(-e.deltaY / 600)));
@@ -394,7 +397,7 @@ class Page {
   pointers(canvas) {
     const down = new Map();
     let moved = 0;
-    // A finger trembles more than a mouse.
+    // The distance in pixels up to which a movement counts as a click. A finger is less steady than a mouse.
     const least = (e) => e.pointerType === 'touch' ? 12 : 4;
     canvas.onpointerdown = (e) => {
       canvas.setPointerCapture(e.pointerId);
@@ -436,11 +439,11 @@ async function open() {
   const page = new Page(meta, pvs, scene && geometry(scene, pvs.triangles), { maps, places });
   if (!scene) byId('boxes').value = 'all';
   page.start();
-  if (!scene) page.say('Without the scene only cells are drawn: give `sightline view` the scene as well.', false);
+  if (!scene) page.say('Without the scene, the page draws only cells. Pass the scene to `sightline view`, too.', false);
   return page;
 }
 
-// What tests and consoles ask.
+// The state of the page, for tests and consoles.
 globalThis.sightline = open().catch((e) => {
   byId('status').textContent = '';
   byId('note').hidden = false;

@@ -1,9 +1,9 @@
-// Rays against the scene's triangles: a bounding volume hierarchy in typed arrays, built when it is first asked.
+// Rays against the scene's triangles: a bounding volume hierarchy in typed arrays, built at its first use.
 
 const LEAF = 4;
 
 export class Tracer {
-  // `at` has nine numbers a triangle; `blocks` says which of them a ray can hit.
+  // `at` contains nine numbers per triangle. `blocks` selects the triangles that a ray can hit.
   constructor(at, blocks) {
     const n = at.length / 9, order = new Uint32Array(n), centre = new Float32Array(3 * n);
     let count = 0;
@@ -14,7 +14,7 @@ export class Tracer {
     }
     this.at = at;
     this.order = order.subarray(0, count);
-    // Of each node the box, the first child or triangle, and the number of triangles (0: inner).
+    // For each node: the box, the first child or triangle, and the number of triangles (0 for an inner node).
     const most = Math.max(1, 2 * count);
     this.box = new Float32Array(6 * most);
     this.first = new Uint32Array(most);
@@ -34,7 +34,7 @@ export class Tracer {
       this.#bound(child + 1, middle, to);
       open.push([child, from, middle], [child + 1, middle, to]);
     }
-    // Two entries a level; halves of equal numbers would be 32 levels deep.
+    // The stack needs two entries per level. Halves of equal numbers would be 32 levels deep.
     this.stack = new Uint32Array(4096);
   }
 
@@ -59,7 +59,7 @@ export class Tracer {
     this.size[node] = to - from;
   }
 
-  // Orders the triangles from `from` to `to` by the halves of their box, or in two equal parts.
+  // Sorts the triangles from `from` to `to` into the halves of their box, or into two equal parts.
   #divide(centre, from, to, axis) {
     const { order } = this;
     let lo = Infinity, hi = -Infinity;
@@ -77,7 +77,8 @@ export class Tracer {
     return i > from && i < to ? i : (from + to) >>> 1;
   }
 
-  // The first triangle that a ray meets before `most` times its direction, and where: [triangle, t].
+  // Returns the first triangle that a ray meets before `most` lengths of its direction, and the distance t of
+  // the intersection in lengths of the direction: [triangle, t].
   first_hit(p, d, most = Infinity, except = -1) {
     const { at, order, box, first, size, stack } = this;
     let hit = -1, best = most, top = 0;
@@ -88,7 +89,7 @@ export class Tracer {
       const node = stack[--top], o = 6 * node;
       let near = 0, far = best;
       for (let a = 0; a < 3; a++) {
-        // Along the slab a ray is in it or not, from end to end.
+        // A ray parallel to a slab is inside or outside of the slab along its whole length.
         if (d[a] === 0) {
           if (p[a] < box[o + a] || p[a] > box[o + 3 + a]) far = -1;
           continue;
@@ -113,7 +114,8 @@ export class Tracer {
   }
 }
 
-// Where a ray meets a triangle, in lengths of its direction; Infinity where it does not (Möller and Trumbore).
+// Returns the distance at which a ray meets a triangle, in lengths of the ray's direction, or Infinity
+// without a hit (Möller and Trumbore).
 export function meet(at, o, p, d) {
   const e = [at[o + 3] - at[o], at[o + 4] - at[o + 1], at[o + 5] - at[o + 2]];
   const f = [at[o + 6] - at[o], at[o + 7] - at[o + 1], at[o + 8] - at[o + 2]];

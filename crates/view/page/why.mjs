@@ -1,17 +1,18 @@
-// Why triangles are visible from a cell, or hidden: rays from its viewpoints, in the page. What rays show is seen;
-// what none of them shows may still be seen, so a hidden triangle is proved by an exact query alone: of the server
-// of the page, where it has one, or of `sightline query --why`.
+// The reasons why triangles are visible or hidden from a cell, from rays that the page casts from viewpoints
+// of the cell. A triangle that a ray reaches is visible. A triangle that no ray reaches may still be visible,
+// so only an exact query proves that the triangle is hidden. The page's server, if any, and
+// `sightline query --why` answer such queries.
 
 import { add, cross, dot, norm, random, scaled, sub, unit } from './math.mjs';
 
-// Rays that are cast at most, and in how many goes.
+// The maximum number of rays, and the maximum number of listed blockers.
 const RAYS = 6000;
 const BLOCKERS = 12;
 
-// Looks for a segment from a viewpoint of a cell to one of `targets`. Viewpoints are `base`, and points of the cell
-// that a free segment joins with it; without a base all points of the cell's box. The eye counts if it is one of
-// them. Segments are at most `far` long. Gives { rays, seen: [from, to, triangle] or null, blockers: [[triangle,
-// rays], …] }.
+// Searches for a segment from a viewpoint of a cell to one of `targets`. Viewpoints are `base` and the points
+// of the cell that a free segment connects with `base`. Without a base, all points of the cell's box are
+// viewpoints. The eye is used if it is a viewpoint. Segments are at most `far` long. Returns { rays, seen:
+// [from, to, triangle] or null, blockers: [[triangle, rays], …] }.
 export function why(tracer, box, { base, eye, far }, targets, seed = 1) {
   const next = random(seed), at = tracer.at, counts = new Map(), isTarget = new Set(targets);
   const isIn = (p) => p.every((x, k) => x >= box[k] && x <= box[k + 3]);
@@ -40,9 +41,10 @@ export function why(tracer, box, { base, eye, far }, targets, seed = 1) {
   return { rays, seen: null, blockers };
 }
 
-// The opening that a segment passes: it is moved aside in several directions until something blocks it, which is
-// the edge of what it passes. Gives { width, ring }, or null where nothing is on two opposite sides. What blocks
-// next to the ends belongs to the viewpoint or the target.
+// Returns the opening that a segment passes as { width, ring }, or null if no two opposite sides are bounded.
+// The function moves the segment sideways in several directions until a triangle blocks it, which is the edge
+// of the opening. The function ignores triangles next to the ends, which
+// belong to the viewpoint or the target.
 export function opening(tracer, [from, to], size, around = 16) {
   const d = sub(to, from), along = unit(d);
   const u = unit(cross(along, Math.abs(along[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0])), v = cross(along, u);
@@ -64,7 +66,7 @@ export function opening(tracer, [from, to], size, around = 16) {
   let width = Infinity;
   for (let k = 0; k < around / 2; k++) {
     if (!edges[k] || !edges[k + around / 2]) continue;
-    // How far the opening extends along a direction on both of whose sides it ends.
+    // The extent of the opening along a direction in which both sides are bounded.
     const w = 2 * Math.PI * k / around, aside = add(scaled(u, Math.cos(w)), v, Math.sin(w));
     const along = ring.map((p) => dot(sub(p, from), aside));
     width = Math.min(width, Math.max(...along) - Math.min(...along));
@@ -72,19 +74,20 @@ export function opening(tracer, [from, to], size, around = 16) {
   return Number.isFinite(width) ? { width, ring } : null;
 }
 
-// An exact answer of the server: { words, seen: [from, to, triangle] or null, blockers: [[triangle, 1], …] }.
+// Requests an exact answer from the server. Returns { words, seen: [from, to, triangle] or null, blockers:
+// [[triangle, 1], …] }.
 export async function exactly({ url, job }, cell, triangle) {
   const none = (words) => ({ words, seen: null, blockers: [] });
   try {
     const body = JSON.stringify({ ...(job === null ? {} : { job }), cell, triangle });
     const answer = await fetch(url, { method: 'POST', headers: { 'content-type': 'application/json' }, body });
     const text = await answer.text();
-    if (!answer.ok) return none(`the server gives no answer: ${text.startsWith('{') ? JSON.parse(text).message : text}`);
+    if (!answer.ok) return none(`the server rejects the query: ${text.startsWith('{') ? JSON.parse(text).message : text}`);
     const told = JSON.parse(text);
     const w = told.witness ?? [], blockers = (told.blockers ?? []).map((id) => [id, 1]);
     const because = told.reason ? ` (${told.reason})` : '';
     const itself = told.state === 'hidden' && !blockers.length && !because;
-    const words = `${told.state}, decided exactly${because}${itself ? ': its own surface turns its inner side to the cell.' : '.'}`;
+    const words = `${told.state}, decided exactly${because}${itself ? ': the triangle shows only the inside of its closed surface to the cell.' : '.'}`;
     return { words, seen: w.length ? [w.slice(0, 3), w.slice(3), triangle] : null, blockers };
   } catch (e) {
     return none(`the server cannot be reached: ${e.message}`);

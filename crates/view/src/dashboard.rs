@@ -1,11 +1,11 @@
-//! The page that shows a coordinator's jobs and workers. It holds no data: its program asks the coordinator
-//! that serves it.
+//! The page with a coordinator's jobs and workers. The page contains no data: its program requests the data
+//! from the coordinator that serves it.
 
 use crate::html::{fill, program};
 
 const DOCUMENT: &str = include_str!("../dashboard/dashboard.html");
 const STYLE: &str = include_str!("../dashboard/dashboard.css");
-/// The modules of the program, each after those that it imports.
+/// The modules of the program. Each module comes after the modules that it imports.
 const MODULES: [&str; 8] = [
     include_str!("../dashboard/words.mjs"),
     include_str!("../dashboard/calls.mjs"),
@@ -17,11 +17,13 @@ const MODULES: [&str; 8] = [
     include_str!("../dashboard/dashboard.mjs"),
 ];
 
-/// The button that ends a session.
+/// The HTML form with the button that ends a session.
 const LOGOUT: &str = "<form method=\"post\" action=\"/logout\"><button>Log out</button></form>";
 
-/// Returns the page. Its style and its program have the attribute `nonce`, which begins with a space or is
-/// empty; `has_sessions` adds a button that ends the session.
+/// Returns the page of a coordinator's jobs and workers as HTML.
+///
+/// `nonce` is the text of an attribute of the page's style and program. The text begins with a space or is
+/// empty. If `has_sessions` is true, the page has a button that ends the session.
 pub fn dashboard(nonce: &str, has_sessions: bool) -> String {
     let logout = if has_sessions { LOGOUT } else { "" };
     let parts = [
@@ -39,7 +41,7 @@ mod tests {
     use crate::html::tests::names_are_used_once;
 
     #[test]
-    fn the_modules_are_one_program() {
+    fn modules_form_one_program() {
         names_are_used_once(&program(&MODULES));
         assert!(!dashboard("", false).contains("{{"));
     }
@@ -60,7 +62,7 @@ mod tests {
             );
         }
         assert!(page.contains("action=\"/logout\"") && !dashboard("", false).contains("/logout"));
-        // A policy with nonces forbids attributes of style and handlers in markup, also attributes that the
+        // A policy with nonces forbids style attributes and event handlers in markup, and attributes that the
         // program sets by name.
         for attribute in [" style=", " style:", "{style:", " onclick="] {
             assert!(!page.contains(attribute), "{attribute}");

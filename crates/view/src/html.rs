@@ -1,4 +1,4 @@
-//! The page as one HTML document: style, program and data in their places.
+//! The page of a result as one HTML document that contains its style, program and data.
 
 use serde_json::json;
 use sightline_formats::html::escaped;
@@ -9,7 +9,7 @@ use crate::{View, ViewError};
 
 const DOCUMENT: &str = include_str!("../page/page.html");
 const STYLE: &str = include_str!("../page/style.css");
-/// The modules of the program, each after those that it imports.
+/// The modules of the program. Each module comes after the modules that it imports.
 const MODULES: [&str; 7] = [
     include_str!("../../../readers/js/pvs.mjs"),
     include_str!("../page/math.mjs"),
@@ -20,7 +20,7 @@ const MODULES: [&str; 7] = [
     include_str!("../page/main.mjs"),
 ];
 
-/// The sections that the page's program reads.
+/// The sections of a result that the page's program reads.
 const READ: [Section; 8] = [
     Section::Info,
     Section::Method,
@@ -32,10 +32,10 @@ const READ: [Section; 8] = [
     Section::Items,
 ];
 
-/// The page.
+/// Returns the page of a result as one HTML document.
 ///
 /// # Errors
-/// [`ViewError`].
+/// [`ViewError`] if the result cannot be read or the data cannot be compressed.
 pub fn page(view: &View<'_>) -> Result<String, ViewError> {
     let worst = view.worst.iter().map(
         |w| json!({"viewpoint": w.viewpoint.map(f64::from), "cell": w.cell, "error": w.error}),
@@ -71,7 +71,8 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
     Ok(fill(DOCUMENT, &parts))
 }
 
-/// A document with texts in the places that are marked by their names.
+/// Replaces each `{{name}}` in a document by the text of the part with this name, or by nothing if there is
+/// no such part.
 pub fn fill(document: &str, parts: &[(&str, String)]) -> String {
     let length = parts.iter().map(|(_, text)| text.len()).sum::<usize>() + document.len();
     let (mut out, mut rest) = (String::with_capacity(length), document);
@@ -90,7 +91,7 @@ pub fn fill(document: &str, parts: &[(&str, String)]) -> String {
     out
 }
 
-/// The modules as one: without imports, and with what they export as plain names.
+/// Joins JavaScript modules into one program, without `import` lines and without the word `export`.
 pub fn program(modules: &[&str]) -> String {
     let mut out = String::new();
     for line in modules.iter().flat_map(|module| module.lines()) {
@@ -108,7 +109,7 @@ pub mod tests {
 
     use super::*;
 
-    /// Names at the top of a module would meet in one program.
+    /// Checks that no top-level name occurs twice, because the names of all modules share one scope.
     pub fn names_are_used_once(all: &str) {
         let is_word = |line: &str| line.starts_with("import ") || line.starts_with("export ");
         assert!(!all.lines().any(is_word) && !all.contains("</script"));
@@ -129,7 +130,7 @@ pub mod tests {
     }
 
     #[test]
-    fn the_modules_are_one_program() {
+    fn modules_form_one_program() {
         names_are_used_once(&program(&MODULES));
     }
 }

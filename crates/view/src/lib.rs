@@ -1,93 +1,109 @@
-//! A result and its scene as one page: a file that a browser shows without any other.
+//! A result and its scene as one page: a file that a browser can display without other files.
 //!
-//! The page holds the sections of the result that look-ups read, the scene's triangles, and numbers of each
-//! cell for its heat maps. Its program is in `page/`; it reads the result with `readers/js/pvs.mjs`, as any
-//! other page could.
+//! The page contains the sections of the result that look-ups read, the scene's triangles, and one number per
+//! cell for each heat map. The page's program is in `page/`. The program reads the result with
+//! `readers/js/pvs.mjs`, which other pages can use, too.
+//!
+//! # Modules
+//!
+//! - `view`, `html`, `pack`: the contents of a page, [`page()`] that writes it, and compressed blocks of
+//!   data.
+//! - `dashboard`: [`dashboard()`], the page of a coordinator's jobs and workers. The page contains no data;
+//!   its program requests the data from the coordinator.
+//!
+//! # Invariants
+//!
+//! - A page loads no file from another address, and needs no build step
+//!   (`docs/decisions/0011-a-page-without-a-framework.md`).
 
 mod dashboard;
 mod html;
 mod pack;
 mod view;
 
+use sightline_numbers::ids::CellIndex;
+
 pub use dashboard::dashboard;
 pub use html::page;
 pub use view::each;
 
-/// Why a page cannot be made.
+/// The reason why a page cannot be created.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
     /// The result cannot be read.
     #[error(transparent)]
     Pvs(#[from] sightline_pvs::PvsError),
-    /// Memory cannot be compressed.
-    #[error("the page cannot be compressed: {0}")]
+    /// The data cannot be compressed.
+    #[error("the data of the page cannot be compressed: {0}")]
     Compress(#[from] std::io::Error),
 }
 
-/// Numbers of all cells, as a heat map shows them.
+/// A heat map: one number per cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
-    /// What they are, in words.
+    /// The name of the map for users, such as “undecided triangles”.
     pub name: String,
-    /// One number for each cell; NaN where there is none.
+    /// One number per cell, NaN for a missing number.
     pub values: Vec<f32>,
 }
 
-/// A place where `measure` found much wrong.
+/// A viewpoint where `measure` found a large error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Worst {
     /// The viewpoint, in world space.
     pub viewpoint: [f32; 3],
-    /// Its cell.
-    pub cell: u32,
+    /// The cell that contains the viewpoint.
+    pub cell: CellIndex,
     /// The fraction of wrong pixels.
     pub error: f64,
 }
 
-/// What a page shows.
+/// The contents of a page.
 pub struct View<'a> {
     /// The result.
     pub pvs: &'a sightline_pvs::Pvs,
-    /// The scene that it was baked from; without it the page shows cells alone.
+    /// The scene that the result was baked from. Without a scene, the page shows only cells.
     pub scene: Option<&'a sightline_scene::Scene>,
     /// The page's title.
     pub title: String,
-    /// What is said about the result, as text.
+    /// The description of the result, as text.
     pub about: String,
-    /// The axis that points up: 1 or 2 for y or z.
+    /// The axis that points up: 1 for y or 2 for z.
     pub up: usize,
-    /// Heat maps.
+    /// The heat maps that the user can choose.
     pub maps: Vec<Map>,
-    /// For each cell a viewpoint in it, NaN where none is known; empty to take the cells' middles.
+    /// A viewpoint in each cell, with NaN coordinates if no viewpoint in the cell is known. If the list is
+    /// empty, the page uses the centres of the cells.
     pub places: Vec<[f32; 3]>,
-    /// The viewpoints of the worst frames.
+    /// The viewpoints with the largest errors.
     pub worst: Vec<Worst>,
-    /// How far sight lines go, if that is limited.
+    /// The maximum length of sight lines in world units; `None` for unlimited lines.
     pub far: Option<f64>,
-    /// What the page's rays do not know about the scene, in words.
+    /// The properties of the scene that the page's rays ignore, as text for users.
     pub caveat: Option<String>,
-    /// Where the page asks for exact answers.
-    pub ask: Option<Ask>,
-    /// The cell in which the page begins.
-    pub start: u32,
-    /// The attribute of the page's style and program that a content policy asks for, with a space before it;
-    /// empty for a file.
+    /// The address to which the page sends exact queries; `None` if the page offers no exact queries.
+    pub ask: Option<ViewRequest>,
+    /// The cell that the page shows first.
+    pub start: CellIndex,
+    /// The attribute that a content policy requires for the page's style and program, with a leading space.
+    /// Empty for a file.
     pub nonce: String,
 }
 
-/// An address of the page's own server that takes `{"job":…,"cell":…,"triangle":…}` as the call
-/// `sightline.v1.Results/Why` does in JSON, and answers alike.
+/// An address on the page's own server for exact queries. The server accepts
+/// `{"job":…,"cell":…,"triangle":…}` like the call `sightline.v1.Results/Why` in JSON, and returns the same
+/// answer.
 #[derive(Clone, Debug)]
-pub struct Ask {
+pub struct ViewRequest {
     /// The path on the server.
     pub url: String,
-    /// The job whose result the page shows, where the server has several.
+    /// The job whose result the page shows; `None` if the server has only one result.
     pub job: Option<u64>,
 }
 
-impl Ask {
-    /// The address for a scene; `None` where exact queries cannot answer, because back faces are culled or
-    /// alpha textures are read.
+impl ViewRequest {
+    /// Creates the address for exact queries about a scene. Returns `None` if exact queries do not support
+    /// the scene, because back faces are culled or triangles are masked.
     pub fn about(scene: &sightline_scene::Scene, url: &str, job: Option<u64>) -> Option<Self> {
         let can = scene.sides().are_both() && !scene.kinds().any_masked();
         can.then(|| Self {

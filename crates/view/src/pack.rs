@@ -1,4 +1,4 @@
-//! The blocks of data in a page: gzipped, in base64.
+//! The blocks of data in a page: compressed with gzip and encoded in base64.
 
 use std::io::Write as _;
 
@@ -6,19 +6,22 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use sightline_scene::Scene;
+use sightline_scene::{Scene, TriangleId};
 
 use crate::{View, ViewError};
 
-/// Bytes as a block.
+/// Compresses `bytes` with gzip and encodes the result in base64.
 pub fn block(bytes: &[u8]) -> Result<String, ViewError> {
     let mut out = GzEncoder::new(Vec::new(), Compression::best());
     out.write_all(bytes)?;
     Ok(STANDARD.encode(out.finish()?))
 }
 
-/// The triangles of a scene: for each of the 4 bytes and 9 coordinates of a triangle's corners the bytes of
-/// all triangles, because equal ones stand together then; and a byte a triangle: bit 0 blocks, bit 1 shows.
+/// Returns the triangles of a scene as 37 bytes per triangle.
+///
+/// For each of the 4 bytes of an `f32`, and for each of the 9 coordinates of a triangle, the result contains
+/// the bytes of all triangles, because similar bytes are then adjacent. One byte per triangle follows: bit 0
+/// if the triangle blocks, bit 1 if the triangle shows.
 pub fn triangles(scene: &Scene) -> Vec<u8> {
     let count = scene.triangles().len();
     let mut out = vec![0; 37 * count];
@@ -28,13 +31,14 @@ pub fn triangles(scene: &Scene) -> Vec<u8> {
                 out[(b * 9 + c) * count + i] = byte;
             }
         }
-        let kind = scene.kinds().kind(i as u32);
+        let kind = scene.kinds().kind(TriangleId(i as u32));
         out[36 * count + i] = u8::from(kind.blocks()) | u8::from(kind.shows()) << 1;
     }
     out
 }
 
-/// The numbers of the heat maps, each for all cells, then three coordinates of a viewpoint for each cell.
+/// Returns the numbers of the heat maps as little-endian `f32`, map by map, then three coordinates of a
+/// viewpoint per cell.
 pub fn values(view: &View<'_>) -> Vec<u8> {
     let maps = view.maps.iter().flat_map(|map| &map.values);
     maps.chain(view.places.iter().flatten())

@@ -1,17 +1,18 @@
-//! What a page shows of any result: the heat maps that every result has, and where to begin.
+//! The contents that a page has for every result: the default heat maps and the first cell.
 
 use serde_json::Value;
+use sightline_numbers::ids::CellIndex;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::Scene;
 
 use crate::{Map, View};
 
 impl<'a> View<'a> {
-    /// A page with what is in a result alone, without words about it.
+    /// Creates a page that contains only the data of a result, without a description.
     ///
     /// # Errors
-    /// [`PvsError`] when the result cannot be read.
-    pub fn of(pvs: &'a Pvs, scene: Option<&'a Scene>) -> Result<Self, PvsError> {
+    /// [`PvsError`] if the result cannot be read.
+    pub fn new(pvs: &'a Pvs, scene: Option<&'a Scene>) -> Result<Self, PvsError> {
         let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
         Ok(Self {
             pvs,
@@ -29,13 +30,14 @@ impl<'a> View<'a> {
             far: info["spec"]["visibility"]["far"].as_f64(),
             caveat: caveat(pvs, scene, &info),
             ask: None,
-            start: middling(pvs)?,
+            start: median_cell(pvs)?,
             nonce: String::new(),
         })
     }
 }
 
-/// What rays in the page do not know.
+/// Returns the properties of the scene that the page's rays ignore, as text for users, or `None` if there are
+/// no such properties.
 fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
     let has = |is: bool, what: &str| is.then(|| what.to_owned());
     let all = [
@@ -56,17 +58,17 @@ fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
     (!all.is_empty()).then(|| all.join(" and "))
 }
 
-/// A number of each cell.
+/// Computes a heat map with the result of `value` for each cell.
 ///
 /// # Errors
-/// Those of `of`.
+/// The errors of `value`.
 pub fn each(
     pvs: &Pvs,
     name: &str,
-    of: impl Fn(&Pvs, u32) -> Result<f32, PvsError>,
+    value: impl Fn(&Pvs, u32) -> Result<f32, PvsError>,
 ) -> Result<Map, PvsError> {
     let values = (0..pvs.cells())
-        .map(|cell| of(pvs, cell))
+        .map(|cell| value(pvs, cell))
         .collect::<Result<_, _>>()?;
     Ok(Map {
         name: name.to_owned(),
@@ -74,7 +76,7 @@ pub fn each(
     })
 }
 
-/// The heat maps that every result has numbers for.
+/// Returns the heat maps that can be computed for every result, without maps that are 0 everywhere.
 fn maps(pvs: &Pvs) -> Result<Vec<Map>, PvsError> {
     let mut all = vec![
         each(pvs, "triangles in the set", |pvs, cell| {
@@ -92,14 +94,14 @@ fn maps(pvs: &Pvs) -> Result<Vec<Map>, PvsError> {
 }
 
 impl Map {
-    /// Whether it has a number other than 0.
+    /// Returns true if the map contains a number other than 0 and NaN.
     pub fn says_something(&self) -> bool {
         self.values.iter().any(|x| *x != 0.0 && !x.is_nan())
     }
 }
 
-/// The cell with viewpoints whose set is neither large nor small.
-fn middling(pvs: &Pvs) -> Result<u32, PvsError> {
+/// Returns the cell with the median size of the visible set, among the cells with viewpoints.
+fn median_cell(pvs: &Pvs) -> Result<CellIndex, PvsError> {
     let mut sizes = Vec::new();
     for cell in 0..pvs.cells() {
         if pvs.is_reached(cell)? {
@@ -107,5 +109,6 @@ fn middling(pvs: &Pvs) -> Result<u32, PvsError> {
         }
     }
     sizes.sort_unstable();
-    Ok(sizes.get(sizes.len() / 2).map_or(0, |(_, cell)| *cell))
+    let middle = sizes.get(sizes.len() / 2);
+    Ok(middle.map_or_else(CellIndex::default, |(_, cell)| CellIndex(*cell)))
 }

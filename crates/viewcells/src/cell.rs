@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::{Lattice, LatticePoint, Rect};
 
-/// The name of an axis in messages: 0 = x, 1 = y, 2 = z.
+/// Returns the name in messages of the axis 0 = x, 1 = y or 2 = z.
 pub fn axis_name(axis: usize) -> &'static str {
     ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
 }
@@ -12,28 +12,28 @@ pub fn axis_name(axis: usize) -> &'static str {
 /// A closed box on the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct CellBox {
-    /// The least corner, in lattice units.
+    /// The lowest corner, in lattice units.
     pub lo: LatticePoint,
-    /// The greatest corner, in lattice units.
+    /// The highest corner, in lattice units.
     pub hi: LatticePoint,
 }
 
-/// A splitting plane: perpendicular to `axis` at lattice coordinate `at`.
+/// A splitting plane, perpendicular to `axis` at lattice coordinate `at`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Split {
-    /// 0, 1 or 2.
+    /// The axis that the plane is perpendicular to: 0, 1 or 2 for x, y or z.
     pub axis: usize,
-    /// Lattice coordinate of the plane.
+    /// The lattice coordinate of the plane.
     pub at: u32,
 }
 
 impl CellBox {
-    /// World-space corners (min, max).
+    /// Returns the corners in world space (min, max).
     pub fn world(&self, lattice: &Lattice) -> (Vec3, Vec3) {
         (lattice.position(self.lo), lattice.position(self.hi))
     }
 
-    /// The two children: below the plane and above it.
+    /// Returns the two children: the box below the plane and the box above it.
     pub fn children(&self, split: Split) -> [Self; 2] {
         let (mut below, mut above) = (*self, *self);
         below.hi[split.axis] = split.at;
@@ -41,7 +41,7 @@ impl CellBox {
         [below, above]
     }
 
-    /// The rectangle that a plane cuts out of the box.
+    /// Returns the rectangle in which the plane `split` cuts the box.
     pub fn cut(&self, split: Split) -> Rect {
         let (u, v) = Rect::in_plane_axes(split.axis);
         Rect {
@@ -52,7 +52,8 @@ impl CellBox {
         }
     }
 
-    /// Face `f` as a rectangle: axis `f / 2`, the greater side when `f` is even (as cube faces are numbered).
+    /// Returns face `f` (0 to 5) of the box as a rectangle. The face is perpendicular to the axis `f / 2`, on
+    /// the upper side of the box if `f` is even (the numbering of cube faces).
     pub fn face(&self, f: usize) -> Rect {
         let axis = f / 2;
         let at = if f.is_multiple_of(2) {
@@ -63,13 +64,14 @@ impl CellBox {
         self.cut(Split { axis, at })
     }
 
-    /// Whether a lattice point lies in the closed box.
+    /// Returns true if the lattice point `p` lies in the closed box.
     pub fn contains(&self, p: LatticePoint) -> bool {
         (0..3).all(|a| self.lo[a] <= p[a] && p[a] <= self.hi[a])
     }
 
-    /// The number of the eight octants around `p` that the box fills: 0 when `p` is outside, 8 inside, 4 in a
-    /// face, 2 on an edge, 1 at a corner (Nirenstein 2003, section 4.2.2, "Removing redundant samples").
+    /// Counts the octants around `p` (0 to 8) into which the box extends. The result is 0 if `p` is outside,
+    /// 8 inside, 4 in a face, 2 on an edge, and 1 at a corner (Nirenstein 2003, section 4.2.2, "Removing
+    /// redundant samples").
     pub fn octants(&self, p: LatticePoint) -> u8 {
         if !self.contains(p) {
             return 0;
@@ -83,7 +85,7 @@ impl CellBox {
         })
     }
 
-    /// Whether `p` lies on the surface of the box.
+    /// Returns true if `p` lies on the surface of the box.
     pub fn on_surface(&self, p: LatticePoint) -> bool {
         matches!(self.octants(p), 1 | 2 | 4)
     }

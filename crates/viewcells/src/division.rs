@@ -1,5 +1,5 @@
-//! Divisions of the view box into cells: a regular grid, adaptive halving by a triangle budget, or boxes that
-//! are given. All are kd-trees.
+//! Divisions of the view box into cells: a regular grid, adaptive halving by a triangle budget, or the boxes
+//! of a given tree. All divisions are kd-trees.
 
 use std::sync::Arc;
 
@@ -11,76 +11,79 @@ use crate::cell::axis_name;
 use crate::kd_tree::{KdTree, PlaneError};
 use crate::{CellBox, Lattice, Split, UNITS_PER_CELL};
 
-/// Most grid cells along an axis: with 2¹⁶ units a cell, lattice coordinates fit `u32`.
+/// The maximum number of grid cells along an axis. With 2¹⁶ units per cell, lattice coordinates fit in a
+/// `u32`.
 pub const MAX_CELLS_PER_AXIS: u32 = 1 << 15;
-/// Most leaf cells of one job.
+/// The maximum number of leaf cells of a job.
 pub const MAX_CELLS: u64 = 1 << 22;
-/// Depth of the deepest adaptive tree, which has 2²² leaves.
+/// The maximum depth of an adaptive tree, which then has at most 2²² leaves.
 pub const MAX_DEPTH: u32 = 22;
-/// Levels of an adaptive tree that are always split, so that workers can share the job (2³ tiles).
+/// The number of levels of an adaptive tree that are always split, so that workers can share the job (2³
+/// tiles).
 pub const FORCED_DEPTH: u32 = 3;
 
-/// An upper bound on how far rounding moves the end of a sight line, in units in the last place of the
-/// greatest coordinate.
+/// The maximum displacement of the end of a sight line by rounding, in units of the last place of the largest
+/// coordinate.
 pub const ROUNDING: f32 = 8.0;
-/// How far rays keep off the walls in the faces of a tree's boxes, in multiples of this rounding.
+/// The distance of rays from the walls in the faces of a tree's boxes, in multiples of the displacement of
+/// [`ROUNDING`].
 pub const GAP: f32 = 2.0;
 
-/// Why a division cannot be used.
+/// The reason why a division is not valid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DivisionError {
-    /// The view box is empty, inverted, not finite, or farther from the origin than scenes may reach.
+    /// The view box is empty, inverted, not finite, or farther from the origin than scenes may extend.
     #[error(
         "the view box from {min:?} to {max:?} along {} is empty, not finite or beyond ±{MAX_COORDINATE:e}; \
          give x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1",
         axis_name(*axis)
     )]
     Box {
-        /// 0 = x, 1 = y, 2 = z.
+        /// The axis: 0 = x, 1 = y, 2 = z.
         axis: usize,
-        /// Least coordinate.
+        /// The lowest coordinate of the view box along the axis.
         min: f32,
-        /// Greatest coordinate.
+        /// The highest coordinate of the view box along the axis.
         max: f32,
     },
-    /// There are no cells, or too many.
+    /// The division has no cells, or too many cells.
     #[error(
         "{x}x{y}x{z} view cells are not possible; use 1 to {MAX_CELLS_PER_AXIS} along each axis and at most \
          {MAX_CELLS} in all"
     )]
     Cells {
-        /// Cells along x.
+        /// The number of cells along x.
         x: u32,
-        /// Cells along y.
+        /// The number of cells along y.
         y: u32,
-        /// Cells along z.
+        /// The number of cells along z.
         z: u32,
     },
     /// Cells are so thin that their planes coincide in `f32`.
     #[error(
         "{cells} cells along {} are thinner than the resolution of 32-bit coordinates there; \
-         use fewer, or move the scene nearer to the origin",
+         use fewer cells, or move the scene nearer to the origin",
         axis_name(*axis)
     )]
     TooFine {
-        /// 0 = x, 1 = y, 2 = z.
+        /// The axis: 0 = x, 1 = y, 2 = z.
         axis: usize,
-        /// The number of cells.
+        /// The number of cells along the axis.
         cells: u32,
     },
-    /// Cells are so thin that rounding can move a sight line across one.
+    /// Cells are so thin that rounding can move a sight line across a cell.
     #[error(
-        "view cells {width:.2e} wide along {} are too thin for sight lines where coordinates are as large as \
-         {largest}: rounding alone moves a line that far; make the cells wider (a larger view box, or \
-         fewer cells), bring the coordinates nearer to 0, or use an exact method",
+        "view cells {width:.2e} wide along {} are too thin for coordinates as large as {largest}, \
+         because rounding can move a sight line by the width of a cell; use wider cells or an exact method, \
+         or move the scene nearer to the origin",
         axis_name(*axis)
     )]
     TooThin {
-        /// 0 = x, 1 = y, 2 = z.
+        /// The axis: 0 = x, 1 = y, 2 = z.
         axis: usize,
-        /// Width of a cell.
+        /// The width of a cell, in world units.
         width: f64,
-        /// Greatest absolute coordinate of the view box.
+        /// The largest absolute coordinate of the view box.
         largest: f32,
     },
     /// A plane of a tree is not strictly inside the box that it divides.
@@ -92,28 +95,28 @@ pub enum DivisionError {
          use a budget of at least 1 and a depth of 1 to {MAX_DEPTH}"
     )]
     Adaptive {
-        /// Triangle budget.
+        /// The triangle budget.
         budget: u32,
-        /// Maximum depth.
+        /// The maximum depth.
         depth: u32,
     },
 }
 
-/// How the view box is divided into cells.
+/// The division of the view box into cells.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Division {
-    /// A regular grid with this many cells along x, y and z.
+    /// A regular grid with these numbers of cells along x, y and z.
     Grid([u32; 3]),
-    /// Cells are halved until at most `budget` triangles are visible from a cell or the tree is `max_depth`
-    /// deep (Nirenstein 2003, section 4.2.2).
+    /// An adaptive tree. Cells are halved until at most `budget` triangles are visible from a cell, or until
+    /// the tree is `max_depth` deep (Nirenstein 2003, section 4.2.2).
     Adaptive {
-        /// Cells with more visible triangles are split.
+        /// The number of visible triangles above which a cell is split.
         budget: u32,
-        /// The deepest level; the root has level 0.
+        /// The maximum level. The root has level 0.
         max_depth: u32,
     },
-    /// The boxes of a tree.
+    /// The boxes of a given tree.
     #[serde(serialize_with = "tree")]
     Tree(Arc<KdTree>),
 }
@@ -123,10 +126,11 @@ fn tree<S: serde::Serializer>(tree: &KdTree, to: S) -> Result<S::Ok, S::Error> {
 }
 
 impl Division {
-    /// Checks the division of a view box (`min`, `max`; world space) and returns its lattice.
+    /// Checks the division of the view box from `min` to `max` (world space) and returns the lattice of the
+    /// division.
     ///
     /// # Errors
-    /// [`DivisionError`] with the value at fault.
+    /// [`DivisionError`] with the faulty value.
     pub fn lattice(&self, min: Vec3, max: Vec3) -> Result<Lattice, DivisionError> {
         for axis in 0..3 {
             let (lo, hi) = (min[axis], max[axis]);
@@ -175,18 +179,20 @@ impl Division {
         }
     }
 
-    /// How far rounding may move the end of a sight line, as a fraction of the width of the thinnest cell; of
-    /// an adaptive tree, of the thinnest cell that always exists. A sight line that crosses less of a cell
-    /// does not count for the cell.
+    /// Returns the maximum displacement of the end of a sight line by rounding, as a fraction of the width of
+    /// the thinnest cell. For an adaptive tree, the thinnest cell is the thinnest cell of level
+    /// [`FORCED_DEPTH`].
+    ///
+    /// The samplers ignore a sight line in a cell if the line crosses a smaller fraction of the cell.
     ///
     /// # Errors
-    /// [`DivisionError::TooThin`] when rounding may move a line by the width of a cell or more.
+    /// [`DivisionError::TooThin`] if rounding may move a line by the width of a cell or more.
     pub fn rounding_displacement(&self, lattice: &Lattice) -> Result<f64, DivisionError> {
         let root = self.root(lattice);
         let mut thinnest = root;
         match self {
             Self::Grid(_) => thinnest.hi = [UNITS_PER_CELL; 3],
-            // The lower half of each split has the width of the upper half, or a unit less.
+            // The lower half of each split has the width of the upper half, or one unit less.
             Self::Adaptive { .. } => {
                 for depth in 0..FORCED_DEPTH {
                     let Some(split) = self.split(lattice, &thinnest, depth) else {
@@ -228,7 +234,7 @@ impl Division {
         }
     }
 
-    /// The root cell: the whole view box.
+    /// Returns the root cell, which is the whole view box.
     pub fn root(&self, lattice: &Lattice) -> CellBox {
         CellBox {
             lo: [0; 3],
@@ -236,11 +242,12 @@ impl Division {
         }
     }
 
-    /// The plane that splits `cell` at `depth`, if it can be split: in a grid along the axis with most cells,
-    /// in an adaptive tree along the longest side; the first axis among equals.
+    /// Returns the plane that splits `cell` at `depth`, or `None` if the cell cannot be split. A cell of a
+    /// grid is split along the axis with most cells, and a cell of an adaptive tree along its longest side.
+    /// Of several such axes, the function chooses the first.
     pub fn split(&self, lattice: &Lattice, cell: &CellBox, depth: u32) -> Option<Split> {
         let span = |a: usize| cell.hi[a] - cell.lo[a];
-        // `max_by` keeps the last of equals; going backwards makes that the first axis.
+        // `max_by` returns the last of equal elements, so iterate backwards to get the first axis.
         let pick =
             |key: &dyn Fn(usize) -> f64| (0..3).rev().max_by(|a, b| key(*a).total_cmp(&key(*b)));
         match *self {
@@ -263,8 +270,10 @@ impl Division {
         }
     }
 
-    /// The number of a cell that is known before the bake: in a grid x fastest, then y, then z, in a tree in
-    /// its order. `None` for boxes that are no cells, and in an adaptive tree.
+    /// Returns the index of a cell, or `None` in an adaptive tree, whose cells are unknown before the bake.
+    ///
+    /// In a grid, x varies fastest, then y, then z, and `cell` must be a cell. A given tree determines the
+    /// order of its cells, and the result is `None` for boxes that are not cells.
     pub fn number(&self, lattice: &Lattice, cell: &CellBox) -> Option<usize> {
         match self {
             Self::Grid([nx, ny, _]) => {
@@ -276,7 +285,8 @@ impl Division {
         }
     }
 
-    /// Whether to split a cell that can be split, when `seen` triangles are visible from it.
+    /// Returns true if a cell at `depth` must be split if [`Self::split`] returns a plane. `seen` is the
+    /// number of triangles that are visible from the cell.
     pub fn wants_split(&self, seen: usize, depth: u32) -> bool {
         match *self {
             Self::Grid(_) | Self::Tree(_) => true,

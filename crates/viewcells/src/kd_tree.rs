@@ -1,7 +1,7 @@
-//! A division given by its planes: a kd-tree of boxes of any size.
+//! A division that is given by its planes: a kd-tree of boxes of any size.
 //!
-//! Its lattice has one unit between neighbouring planes of an axis, so each plane has the coordinate that was
-//! given, bit for bit.
+//! The lattice of the tree has one unit between neighbouring planes of an axis. So each plane has exactly its
+//! given coordinate, bit for bit.
 
 use std::sync::Arc;
 
@@ -11,41 +11,48 @@ use serde::{Serialize, Serializer};
 use crate::cell::axis_name;
 use crate::{CellBox, Lattice, Split};
 
-/// Most boxes of a tree.
+/// The maximum number of boxes of a tree.
 pub const MOST_BOXES: usize = 1 << 12;
-/// Most planes between the root and a box.
+/// The maximum number of planes between the root and a box.
 pub const MOST_PLANES: usize = 64;
-/// The axis of a node that is a box.
+/// The number in place of the axis for a node that is a box.
 const BOX: u8 = 3;
 
-/// Why nodes are no tree of boxes.
+/// The reason why nodes do not form a tree of boxes.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TreeError {
-    /// An axis is above 3.
-    #[error("node {0} has the axis {1}; give 0, 1 or 2 for x, y or z, and 3 for a box")]
+    /// The axis of a node is above 3. The fields are the index of the node, from 0, and the axis.
+    #[error(
+        "node {0} has the axis {1}; give 0, 1 or 2 for a plane across x, y or z, and 3 for a box"
+    )]
     Axis(usize, u32),
-    /// Nodes are missing or left over, or planes are.
-    #[error("the nodes are no tree: each plane is followed by its lower and then its upper child")]
+    /// Nodes or planes are missing or superfluous.
+    #[error(
+        "the nodes do not form a tree: each plane is followed by its lower and then its upper child"
+    )]
     Shape,
-    /// There are too many boxes, or they are too deep.
-    #[error("a tree has at most {MOST_BOXES} boxes, and at most {MOST_PLANES} planes above a box")]
+    /// The tree has too many boxes, or is too deep.
+    #[error(
+        "the tree is too large; give at most {MOST_BOXES} boxes, and {MOST_PLANES} planes above a box"
+    )]
     TooLarge,
 }
 
 /// A plane that is not strictly inside the box that it divides.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
-    "the plane {} = {at} is not strictly inside its box, from {min} to {max}; give planes inside",
+    "the plane {} = {at} is not strictly inside the box that it divides; give a coordinate between {min} and \
+     {max}",
     axis_name(*axis)
 )]
 pub struct PlaneError {
-    /// 0 = x, 1 = y, 2 = z.
+    /// The axis: 0 = x, 1 = y, 2 = z.
     pub axis: usize,
-    /// The plane.
+    /// The coordinate of the plane.
     pub at: f32,
-    /// Least coordinate of the box.
+    /// The lowest coordinate of the box along the axis.
     pub min: f32,
-    /// Greatest coordinate of the box.
+    /// The highest coordinate of the box along the axis.
     pub max: f32,
 }
 
@@ -58,24 +65,26 @@ pub struct KdTree {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum KdNode {
-    /// The plane where the coordinate `axis` is `at`. The lower child follows; `upper` is the other one.
+    /// A plane where the coordinate `axis` equals `at`. The lower child is the next node, and `upper` is the
+    /// index of the upper child.
     Split { axis: usize, at: f32, upper: usize },
-    /// The box with this number.
+    /// A box with this index, in the order of the nodes.
     Box(usize),
 }
 
 impl KdTree {
-    /// The tree of these nodes, in preorder, lower children first: the axis of each, 3 for a box, and the
-    /// coordinate of each plane.
+    /// Creates the tree of these nodes, in preorder with lower children first. `axes` contains the axis of
+    /// each node, 3 for a box. `planes` contains the coordinate of each plane.
     ///
     /// # Errors
-    /// [`TreeError`]. Whether the planes are in their boxes is checked by [`crate::Division::lattice`].
+    /// [`TreeError`] if the nodes do not form a tree, or exceed the limits. [`crate::Division::lattice`]
+    /// checks that each plane is inside the box that it divides.
     pub fn new(axes: &[u32], planes: &[f32]) -> Result<Self, TreeError> {
         if axes.len() >= 2 * MOST_BOXES {
             return Err(TreeError::TooLarge);
         }
         let (mut nodes, mut boxes, mut planes) = (Vec::with_capacity(axes.len()), 0, planes.iter());
-        // Children that are still to come: the parent of an upper child, and the depth.
+        // The pending children: the parent for an upper child, and the depth.
         let mut open = vec![(None, 0usize)];
         for (i, axis) in axes.iter().enumerate() {
             let (parent, depth) = open.pop().ok_or(TreeError::Shape)?;
@@ -88,7 +97,7 @@ impl KdTree {
                     if depth == MOST_PLANES {
                         return Err(TreeError::TooLarge);
                     }
-                    // −0 and 0 are one plane.
+                    // −0 and 0 are equal planes, so store 0 for both.
                     let at = planes.next().ok_or(TreeError::Shape)? + 0.0;
                     nodes.push(KdNode::Split {
                         axis: axis as usize,
@@ -110,7 +119,7 @@ impl KdTree {
         Ok(Self { nodes, boxes })
     }
 
-    /// The axis of each node in preorder, 3 for a box, and the coordinate of each plane.
+    /// Returns the axis of each node in preorder, 3 for a box, and the coordinate of each plane.
     pub fn parts(&self) -> (Vec<u32>, Vec<f32>) {
         let axis = |node: &KdNode| match node {
             KdNode::Split { axis, .. } => *axis as u32,
@@ -126,12 +135,12 @@ impl KdTree {
         )
     }
 
-    /// Number of boxes.
+    /// Returns the number of undivided boxes, which are the cells.
     pub fn boxes(&self) -> usize {
         self.boxes
     }
 
-    /// The lattice of the tree's planes over a view box, which is not empty.
+    /// Returns the lattice of the tree's planes over a view box, which must not be empty.
     pub(crate) fn lattice(&self, min: Vec3, max: Vec3) -> Result<Lattice, PlaneError> {
         let mut planes: [Vec<f32>; 3] = Default::default();
         let mut open = vec![(0usize, min, max)];
@@ -160,9 +169,10 @@ impl KdTree {
         Ok(Lattice::of_planes(min, max, Arc::new(planes)))
     }
 
-    /// The plane that splits a box of the tree.
-    pub(crate) fn split(&self, lattice: &Lattice, of: &CellBox) -> Option<Split> {
-        match self.nodes[self.find(lattice, of)?] {
+    /// Returns the plane that splits the box `cell` of the tree, or `None` if the tree does not divide the
+    /// box.
+    pub(crate) fn split(&self, lattice: &Lattice, cell: &CellBox) -> Option<Split> {
+        match self.nodes[self.find(lattice, cell)?] {
             KdNode::Split { axis, at, .. } => Some(Split {
                 axis,
                 at: lattice.unit(axis, at)?,
@@ -171,22 +181,23 @@ impl KdTree {
         }
     }
 
-    /// The number of a box without planes, in the order of the tree; `None` if there is no such box.
-    pub(crate) fn number(&self, lattice: &Lattice, of: &CellBox) -> Option<usize> {
-        match self.nodes[self.find(lattice, of)?] {
+    /// Returns the index of the undivided box `cell`, in the order of the tree, or `None` if the tree has no
+    /// such box.
+    pub(crate) fn number(&self, lattice: &Lattice, cell: &CellBox) -> Option<usize> {
+        match self.nodes[self.find(lattice, cell)?] {
             KdNode::Box(number) => Some(number),
             KdNode::Split { .. } => None,
         }
     }
 
-    /// The node of a box.
-    fn find(&self, lattice: &Lattice, of: &CellBox) -> Option<usize> {
+    /// Returns the index of the node of the box `cell`, or `None` if the box is not in the tree.
+    fn find(&self, lattice: &Lattice, cell: &CellBox) -> Option<usize> {
         let mut at = CellBox {
             lo: [0; 3],
             hi: lattice.units(),
         };
         let mut node = 0;
-        while at != *of {
+        while at != *cell {
             let KdNode::Split {
                 axis,
                 at: plane,
@@ -197,7 +208,7 @@ impl KdTree {
             };
             let plane = lattice.unit(axis, plane)?;
             let [below, above] = at.children(Split { axis, at: plane });
-            (node, at) = if of.hi[axis] <= plane {
+            (node, at) = if cell.hi[axis] <= plane {
                 (node + 1, below)
             } else {
                 (upper, above)
@@ -206,7 +217,7 @@ impl KdTree {
         Some(node)
     }
 
-    /// The least width of a box, and its axis.
+    /// Returns the smallest width of a box along any axis, in world units, and the axis of this width.
     pub(crate) fn thinnest(&self, lattice: &Lattice) -> (f64, usize) {
         let (mut least, mut open) = ((f64::INFINITY, 0), vec![(0usize, [0; 3], lattice.units())]);
         while let Some((node, lo, hi)) = open.pop() {
@@ -234,7 +245,7 @@ impl KdTree {
 }
 
 impl Serialize for KdTree {
-    /// The number of boxes: a result has the tree itself.
+    /// Serializes only the number of boxes, because a result contains the tree itself.
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         use serde::ser::SerializeMap as _;
         let mut map = to.serialize_map(Some(1))?;
@@ -250,7 +261,7 @@ mod tests {
     use super::*;
     use crate::{Division, DivisionError, Layout, Plan};
 
-    /// Two rooms, the upper one divided by a wall at 0.
+    /// Returns two rooms, where a wall at 0 divides the upper one.
     fn rooms() -> Division {
         Division::Tree(Arc::new(
             KdTree::new(&[1, 3, 0, 3, 3], &[0.5, -0.0]).unwrap(),
@@ -286,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_outside_their_boxes_are_refused() {
+    fn lattice_rejects_planes_outside_boxes() {
         let lattice_for = |axes: &[u32], planes: &[f32]| {
             Division::Tree(Arc::new(KdTree::new(axes, planes).unwrap()))
                 .lattice(Vec3::ZERO, Vec3::ONE)
@@ -308,7 +319,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_nodes_are_a_tree_or_an_error(
+        fn random_nodes_give_tree_or_error(
             axes in proptest::collection::vec(0u32..5, 0..20),
             planes in proptest::collection::vec(-2f32..2.0, 0..10),
         ) {

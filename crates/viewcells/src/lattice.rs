@@ -1,16 +1,16 @@
 //! The dyadic lattice of sample positions.
 //!
-//! Sample positions are integers, and there is one way of computing world positions from them. So a lattice
+//! Sample positions are integers, and a single function computes world positions from them. So a lattice
 //! point has the same `f32` position, bit for bit, in all cells and tiles and on all machines.
 
 use std::sync::Arc;
 
 use glam::Vec3;
 
-/// Lattice units along one side of a grid cell: 2^16, so a cell can be halved sixteen times.
+/// The number of lattice units along a side of a grid cell: 2^16, so a cell can be halved sixteen times.
 pub const UNITS_PER_CELL: u32 = 1 << 16;
 
-/// A position on the lattice, in units from the view box's least corner.
+/// A position on the lattice, in units from the view box's lowest corner.
 pub type LatticePoint = [u32; 3];
 
 /// The lattice over a view box.
@@ -19,12 +19,13 @@ pub struct Lattice {
     min: Vec3,
     max: Vec3,
     units: [u32; 3],
-    /// The coordinates of all units but the first and the last, where they are not evenly spaced.
+    /// The world coordinates of all lattice positions between the faces of the box, along each axis. `None`
+    /// if the positions are evenly spaced.
     planes: Option<Arc<[Vec<f32>; 3]>>,
 }
 
 impl Lattice {
-    /// The lattice of `cells` grid cells along each axis over the closed box `min` … `max`.
+    /// Creates the lattice of `cells` grid cells along each axis over the closed box `min` … `max`.
     /// [`crate::Division`] checks the arguments.
     pub(crate) fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
         Self {
@@ -35,7 +36,8 @@ impl Lattice {
         }
     }
 
-    /// The lattice with a unit at each of these coordinates, ascending along each axis and inside the box.
+    /// Creates the lattice with a position at each of these world coordinates, which must ascend along each
+    /// axis and be inside the box.
     pub(crate) fn of_planes(min: Vec3, max: Vec3, planes: Arc<[Vec<f32>; 3]>) -> Self {
         Self {
             min,
@@ -45,7 +47,8 @@ impl Lattice {
         }
     }
 
-    /// The unit at a coordinate of such a lattice.
+    /// Returns the lattice coordinate of the world coordinate `at` in a lattice of planes, or `None` if no
+    /// plane has this coordinate.
     pub(crate) fn unit(&self, axis: usize, at: f32) -> Option<u32> {
         let planes = self.planes.as_ref()?;
         planes[axis]
@@ -54,13 +57,13 @@ impl Lattice {
             .map(|k| k as u32 + 1)
     }
 
-    /// Units along each axis.
+    /// Returns the number of units along each axis.
     pub fn units(&self) -> [u32; 3] {
         self.units
     }
 
-    /// The world coordinate of unit `k` along `axis`; the first and the last are exactly the coordinates of
-    /// the box.
+    /// Returns the world coordinate of the lattice coordinate `k` along `axis`. The first and the last
+    /// lattice coordinate have exactly the coordinates of the box.
     pub fn coordinate(&self, axis: usize, k: u32) -> f32 {
         let (lo, hi) = (self.min[axis], self.max[axis]);
         if k == 0 {
@@ -75,7 +78,7 @@ impl Lattice {
         }
     }
 
-    /// The world position of a lattice point.
+    /// Returns the world position of a lattice point.
     pub fn position(&self, p: LatticePoint) -> Vec3 {
         Vec3::new(
             self.coordinate(0, p[0]),
@@ -84,7 +87,7 @@ impl Lattice {
         )
     }
 
-    /// World length of `units` lattice units along `axis`, for a lattice that is evenly spaced.
+    /// Returns the world length of `units` lattice units along `axis`, for an evenly spaced lattice.
     pub fn length(&self, axis: usize, units: u32) -> f64 {
         (f64::from(self.max[axis]) - f64::from(self.min[axis])) * f64::from(units)
             / f64::from(self.units[axis])

@@ -1,8 +1,24 @@
-//! View cells: the integer lattice of sample positions, the boxes and rectangles on it, the kd-tree's
-//! splitting rule, and the plan that cuts a bake into tiles.
+//! View cells and the plan of a bake.
 //!
-//! Everything here is a pure function of the view box and its division. The crate knows nothing of triangles,
-//! samples or the network.
+//! The crate contains the integer lattice of sample positions, the boxes and rectangles on the lattice, the
+//! divisions of the view box, and the plan that divides a bake into tiles. The crate does not depend on
+//! triangles, samples or the network.
+//!
+//! # Modules
+//!
+//! - `lattice`, `rect`, `cell`: [`Lattice`], the integer positions; [`Rect`] and [`CellBox`] on the lattice.
+//! - `division`, `kd_tree`: [`Division`], a regular grid, an adaptive tree, or a given [`KdTree`].
+//! - `plan`: [`Plan`] and its [`Tile`]s, with the tiles whose samples each tile needs.
+//! - `part_mask`, `region`: [`PartMask`] and [`Region`], the parts of cells and of space with viewpoints.
+//!
+//! # Invariants
+//!
+//! - Positions are integers until they are rendered, so neighbouring cells agree on every position.
+//! - All functions are pure functions of the view box and its division.
+//! - A change of the plan changes the bytes of results, and requires a new `ALGORITHM_VERSION`
+//!   (`crates/model/src/job/spec.rs`).
+//!
+//! # Example
 //!
 //! ```
 //! use glam::Vec3;
@@ -33,3 +49,4 @@ pub use part_mask::{PartMask, PartMaskError};
 pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind, USUAL_BLOCK_CELLS};
 pub use rect::Rect;
 pub use region::{Region, RegionError, RegionNode};
+pub use sightline_numbers::ids::{CellIndex, TileIndex};

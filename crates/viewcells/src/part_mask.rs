@@ -1,35 +1,36 @@
-//! The parts of cells where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold
-//! viewpoints. The boxes of a tree are a grid of one row, in the tree's order.
+//! The parts of cells in which viewpoints can be. Each cell of a grid has 4×4×4 equal parts, and a mask marks
+//! the parts with viewpoints. For a tree of boxes, the mask has one row of cells, in the order of the boxes.
 //!
-//! A part is marked when a viewpoint may be in it, so the marked parts hold all viewpoints and a margin of at
-//! most a part around them. Cells without a marked part are not sampled. How parts come to be marked (boxes,
-//! meshes, points, reachability) is not this module's business.
+//! A part is marked if a viewpoint may be in the part. So the marked parts contain all viewpoints and a
+//! margin of at most one part around the viewpoints. Cells without a marked part are not sampled. Other
+//! modules decide which parts to mark (boxes, meshes, points, reachability).
 
 use sightline_numbers::varint;
 
-/// Parts along each side of a cell.
+/// The number of parts along each side of a cell.
 pub const PARTS: u32 = 4;
 
 /// The marked parts of the cells of a grid. Cells are in the order of their index: x fastest, then y, then z.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PartMask {
     cells: [u32; 3],
-    /// A word for each cell; bit (z·4 + y)·4 + x for the part x, y, z.
+    /// The marks of each cell, with bit (z·4 + y)·4 + x for the part x, y, z of the cell.
     parts: Vec<u64>,
 }
 
-/// Bytes that are no marks of the cells of a grid.
+/// The reason why bytes are not the marks of a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the viewpoints cannot be read: {0}")]
 pub struct PartMaskError(&'static str);
 
 impl PartMaskError {
-    /// The error of bytes that follow the marks where nothing may follow.
-    pub const LONG: Self = Self("bytes follow the marks");
+    /// The error for bytes after the marks.
+    pub const LONG: Self = Self("further bytes follow the marks of the last cell");
 }
 
 impl PartMask {
-    /// Creates a mask without marks for a grid of this many cells, which [`crate::Division`] has checked.
+    /// Creates a mask without marks for a grid with the given numbers of cells along each axis, which
+    /// [`crate::Division`] must have checked.
     pub fn empty(cells: [u32; 3]) -> Self {
         let count: usize = cells.iter().map(|c| *c as usize).product();
         Self {
@@ -38,7 +39,7 @@ impl PartMask {
         }
     }
 
-    /// Creates the mask of a single cell.
+    /// Creates the mask of a grid of a single cell with the given marks ([`Self::parts`]).
     pub fn single(parts: u64) -> Self {
         Self {
             cells: [1; 3],
@@ -46,28 +47,28 @@ impl PartMask {
         }
     }
 
-    /// Cells along each axis.
+    /// Returns the number of cells along each axis.
     pub fn cells(&self) -> [u32; 3] {
         self.cells
     }
 
-    /// Parts along each axis.
+    /// Returns the number of parts of the grid along each axis.
     pub fn sides(&self) -> [u32; 3] {
         self.cells.map(|c| c * PARTS)
     }
 
-    /// Marks a part; coordinates are below [`Self::sides`].
+    /// Marks the part at these coordinates in the grid of parts, which must be below [`Self::sides`].
     pub fn mark(&mut self, part: [u32; 3]) {
         let (cell, bit) = self.position(part);
         self.parts[cell] |= 1 << bit;
     }
 
-    /// Marks all parts of the cell with an index.
+    /// Marks all parts of the cell with index `cell`.
     pub fn mark_all(&mut self, cell: usize) {
         self.parts[cell] = u64::MAX;
     }
 
-    /// Whether a part is marked.
+    /// Returns true if the part at these coordinates, which must be below [`Self::sides`], is marked.
     pub fn has(&self, part: [u32; 3]) -> bool {
         let (cell, bit) = self.position(part);
         self.parts[cell] >> bit & 1 == 1
@@ -82,27 +83,28 @@ impl PartMask {
         ((z * ny + y) * nx + x, (pz * PARTS + py) * PARTS + px)
     }
 
-    /// Returns the marks of the cell with an index.
+    /// Returns the marks of the cell with index `cell`: bit (z·4 + y)·4 + x for the part x, y, z of the cell.
     pub fn parts(&self, cell: usize) -> u64 {
         self.parts[cell]
     }
 
-    /// Number of cells with a marked part.
+    /// Returns the number of cells with a marked part.
     pub fn reached(&self) -> usize {
         self.parts.iter().filter(|p| **p != 0).count()
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn count(&self) -> usize {
         self.parts.len()
     }
 
-    /// Number of marked parts.
+    /// Returns the number of marked parts.
     pub fn marked(&self) -> u64 {
         self.parts.iter().map(|p| u64::from(p.count_ones())).sum()
     }
 
-    /// Encodes the marks: runs of equal words, each a LEB128 length and the word.
+    /// Encodes the marks as runs of cells with equal marks. Each run is a LEB128 number of cells, and the
+    /// marks as a little-endian u64.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for run in self.parts.chunk_by(|a, b| a == b) {
@@ -112,38 +114,44 @@ impl PartMask {
         bytes
     }
 
-    /// Reads the marks of a grid of this many cells, which [`crate::Division`] has checked, from the front of
-    /// `bytes`, and leaves the rest there.
+    /// Decodes the marks of a grid from the front of `bytes`, and leaves the rest in `bytes`. `cells` are the
+    /// numbers of cells along each axis. [`crate::Division`] must have checked the grid.
     ///
     /// # Errors
-    /// [`PartMaskError`] when [`Self::encode`] does not write such bytes, or no part is marked.
+    /// [`PartMaskError`] if the bytes are not a result of [`Self::encode`], or if no part is marked.
     pub fn decode(bytes: &mut &[u8], cells: [u32; 3]) -> Result<Self, PartMaskError> {
         let mut marks = Self::empty(cells);
         let (mut at, mut before) = (0usize, None);
         while at < marks.parts.len() && !bytes.is_empty() {
             let length = varint::read(bytes, varint::MOST_BYTES);
-            let length = length.map_err(|_| PartMaskError("a length is malformed"))?;
+            let length = length.map_err(|_| PartMaskError("the length of a run is malformed"))?;
             let (word, rest) = bytes
                 .split_first_chunk::<8>()
-                .ok_or(PartMaskError("they are cut short"))?;
+                .ok_or(PartMaskError("the marks of a run are cut short"))?;
             *bytes = rest;
             let word = u64::from_le_bytes(*word);
             let end = usize::try_from(length).ok().and_then(|n| at.checked_add(n));
             let run = end.and_then(|end| marks.parts.get_mut(at..end));
-            let run = run.ok_or(PartMaskError("they are for more cells than there are"))?;
-            // One way of writing each value, because the bytes are part of a job's key.
+            let run = run.ok_or(PartMaskError(
+                "the runs cover more cells than the division has",
+            ))?;
+            // Each mask has only one encoding, because the bytes are part of a job's key.
             if run.is_empty() || before == Some(word) {
-                return Err(PartMaskError("a run is empty or goes on after its end"));
+                return Err(PartMaskError(
+                    "a run is empty, or the next run has the same marks",
+                ));
             }
             run.fill(word);
             (at, before) = (at + run.len(), Some(word));
         }
         if at != marks.parts.len() {
-            return Err(PartMaskError("they are for fewer cells than there are"));
+            return Err(PartMaskError(
+                "the runs cover fewer cells than the division has",
+            ));
         }
         if marks.reached() == 0 {
             return Err(PartMaskError(
-                "no part of any cell is marked; mark at least one",
+                "no part of a cell is marked; mark at least one part",
             ));
         }
         Ok(marks)
@@ -157,7 +165,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn marks_come_back_and_damage_never_panics(
+        fn marks_round_trip_and_damage_never_panics(
             cells in [1u32..5, 1u32..5, 1u32..5],
             places in proptest::collection::vec([any::<u32>(), any::<u32>(), any::<u32>()], 1..40),
             at in any::<prop::sample::Index>(),
@@ -182,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_belongs_to_its_cell() {
+    fn part_belongs_to_its_cell() {
         let mut marks = PartMask::empty([2, 2, 1]);
         marks.mark([5, 3, 1]);
         assert_eq!(

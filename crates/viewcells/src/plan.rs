@@ -1,37 +1,38 @@
 //! The plan of a bake: its tiles, and the tiles whose samples each tile needs.
 //!
 //! - A **face tile** samples one face of the view box.
-//! - A **separator tile** samples the rectangle that splits one of the top cells of the kd-tree; all cells
-//!   below share these samples.
-//! - A **leaf tile** processes the subtree below and yields the sets of its cells.
+//! - A **separator tile** samples the rectangle that splits one of the top cells of the kd-tree. All cells
+//!   below this cell share these samples.
+//! - A **leaf tile** computes the sets of all cells in a subtree of the kd-tree.
 //!
-//! For samplers that share nothing between tiles, the plan has **blocks** instead: leaf tiles only, each of a
-//! size that a worker holds at a time. In an adaptive tree a block is a subtree below the levels that are
-//! always split.
+//! For samplers that do not share samples between tiles, the plan has **blocks** instead. Blocks are leaf
+//! tiles of a size that fits in a worker's memory. In an adaptive tree, a block is a subtree below the levels
+//! that are always split.
 //!
-//! The plan depends on the division and the size of blocks and not on the number of workers. Its order is the
-//! order of the leaf tiles' cells in the result.
+//! The plan depends on the division and the size of blocks, and not on the number of workers. The order of
+//! the leaf tiles' cells is their order in the result.
 
 use crate::division::FORCED_DEPTH;
 use crate::{CellBox, Division, Lattice, Split};
 
-/// Least number of leaf tiles of a grid with at least as many cells: enough for tens of workers.
+/// The minimum number of leaf tiles of a grid with at least as many cells: enough for tens of workers.
 const LEAF_TILES: u64 = 64;
-/// Most grid cells of a leaf tile, so that large jobs have tiles of minutes, not hours.
+/// The maximum number of grid cells of a leaf tile, so that tiles of large jobs need minutes and not hours.
 const MAX_CELLS_PER_TILE: u64 = 64;
 
-/// Most grid cells of a block, which takes two bits of memory for each pair of a cell and a triangle.
+/// The maximum number of grid cells of a block. A block needs two bits of memory per pair of a cell and a
+/// triangle.
 pub const MOST_BLOCK_CELLS: u32 = 4096;
-/// Grid cells of a block unless a job says otherwise.
+/// The default number of grid cells of a block.
 pub const USUAL_BLOCK_CELLS: u32 = 512;
 
-/// How a job is divided into tiles.
+/// The strategy for the division of a job into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Faces, separators and leaves that share samples on their borders.
     Samples,
-    /// Blocks of at most this number of cells that share nothing. All cells of a block share the lines that
-    /// cross them, so larger blocks cost less work in total but occupy fewer workers
+    /// Blocks of at most this number of cells. Blocks share no data. All cells of a block share the lines
+    /// that cross these cells, so larger blocks cost less work in total but occupy fewer workers
     /// (docs/decisions/0005-sight-lines.md).
     Blocks(u32),
 }
@@ -39,50 +40,52 @@ pub enum Layout {
 /// A node of the kd-tree above the leaf tiles, in preorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outline {
-    /// A split node; its two children follow, the lower one first.
+    /// A split node. The subtrees of its lower and then of its upper child follow.
     Split(Split),
-    /// The subtree of the leaf tile with this number.
+    /// The subtree of the leaf tile with this index.
     Leaf(u32),
 }
 
 /// The work of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TileKind {
-    /// Samples face `0..6` of the view box.
+    /// The tile samples face `0..6` of the view box.
     Face(usize),
-    /// Samples the rectangle that splits its cell.
+    /// The tile samples the rectangle that splits its cell.
     Separator(Split),
-    /// Yields the sets of all leaf cells in its cell.
+    /// The tile computes the sets of all leaf cells in its cell.
     Leaf,
 }
 
-/// One unit of work.
+/// A tile: one unit of work.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// The work.
+    /// The kind of work.
     pub kind: TileKind,
-    /// The cell it belongs to (the view box for a face tile).
+    /// The cell of the tile (the view box for a face tile).
     pub cell: CellBox,
-    /// The cell's depth in the kd-tree.
+    /// The depth of the cell in the kd-tree.
     pub depth: u32,
-    /// Numbers of the tiles whose packs it reads, ascending; all come before it in the plan.
+    /// The indices of the tiles whose packs this tile reads, ascending. All these tiles precede this tile in
+    /// the plan.
     pub needs: Vec<u32>,
-    /// The number of its leaf cells in a grid, 1 in an adaptive tree, where it is not known yet; 0 for other
-    /// kinds.
+    /// The number of cells of a leaf tile, or 0 for other tiles. The value is 1 for a box of a tree, and in
+    /// an adaptive tree, whose cells are unknown before the bake. [`Plan::of_counts`] stores numbers of
+    /// items.
     pub cells: u64,
 }
 
-/// All tiles, each after the tiles that it needs.
+/// All tiles of a bake. Each tile follows the tiles that it needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
-    /// The tiles; index = tile number.
+    /// The tiles, by tile index.
     pub tiles: Vec<Tile>,
-    /// The tree above the leaf tiles.
+    /// The kd-tree above the leaf tiles, in preorder.
     pub outline: Vec<Outline>,
 }
 
 impl Plan {
-    /// The plan for a division.
+    /// Creates the plan for a division.
     pub fn new(division: &Division, lattice: &Lattice, layout: Layout) -> Self {
         let root = division.root(lattice);
         let mut plan = Self {
@@ -119,7 +122,7 @@ impl Plan {
     ) {
         let cells = grid_cells(division, &cell);
         let cut_here = is_cut(division, cells > most, depth);
-        // Only rectangles that touch the cell's surface can have samples on it.
+        // Only faces and separators that touch the cell's surface can have samples on this surface.
         let root_face = |f: usize| self.tiles[f].cell.face(f);
         let mut needs: Vec<u32> = (0..6)
             .filter(|&f| cell.face(f).at == root_face(f).at)
@@ -197,7 +200,7 @@ impl Plan {
         }
     }
 
-    /// A plan without a division: each tile has a number of things that are computed one by one, within
+    /// Creates a plan without a division. Each tile computes one of the given numbers of items, all within
     /// `cell`, and needs no other tile.
     pub fn of_counts(cell: CellBox, counts: impl Iterator<Item = u64>) -> Self {
         let tile = |cells| Tile {
@@ -213,7 +216,7 @@ impl Plan {
         }
     }
 
-    /// Numbers of the leaf tiles, in the order of their cells.
+    /// Returns the indices of the leaf tiles, in the order of their cells in the result.
     pub fn leaves(&self) -> impl Iterator<Item = u32> + '_ {
         self.tiles
             .iter()
@@ -223,8 +226,8 @@ impl Plan {
     }
 }
 
-/// Whether a box with more or with less cells than a tile is divided into tiles. Each box of a tree is a
-/// tile: boxes of any size share few lines.
+/// Returns true if a box is divided into several tiles. `is_larger` is true if the box has more cells than a
+/// tile may have. Each undivided box of a tree is a tile, because boxes of different sizes share few lines.
 fn is_cut(division: &Division, is_larger: bool, depth: u32) -> bool {
     match division {
         Division::Grid(_) => is_larger,
@@ -233,7 +236,7 @@ fn is_cut(division: &Division, is_larger: bool, depth: u32) -> bool {
     }
 }
 
-/// The number of grid cells in a box; 1 for other divisions.
+/// Returns the number of grid cells in a box, or 1 for other divisions.
 fn grid_cells(division: &Division, cell: &CellBox) -> u64 {
     match division {
         Division::Grid(_) => (0..3)

@@ -8,21 +8,21 @@ use crate::{Lattice, LatticePoint, UNITS_PER_CELL};
 pub struct Rect {
     /// The axis that the rectangle is perpendicular to.
     pub axis: usize,
-    /// Lattice coordinate along that axis.
+    /// The lattice coordinate of the rectangle along `axis`.
     pub at: u32,
-    /// Least corner along the two in-plane axes, [`Rect::in_plane_axes`].
+    /// The lattice coordinates of the lowest corner along the two axes [`Rect::in_plane_axes`].
     pub lo: [u32; 2],
-    /// Greatest corner along the same axes.
+    /// The lattice coordinates of the highest corner along these two axes.
     pub hi: [u32; 2],
 }
 
 impl Rect {
-    /// The two axes in a plane perpendicular to `axis`, in cyclic order.
+    /// Returns the two axes in a plane perpendicular to `axis`, in cyclic order.
     pub fn in_plane_axes(axis: usize) -> (usize, usize) {
         ((axis + 1) % 3, (axis + 2) % 3)
     }
 
-    /// The lattice point at in-plane coordinates (u, v).
+    /// Returns the lattice point at in-plane coordinates (u, v).
     pub fn point(&self, u: u32, v: u32) -> LatticePoint {
         let (au, av) = Self::in_plane_axes(self.axis);
         let mut p = [0; 3];
@@ -32,7 +32,7 @@ impl Rect {
         p
     }
 
-    /// The four corners.
+    /// Returns the four corners.
     pub fn corners(&self) -> [LatticePoint; 4] {
         [
             self.point(self.lo[0], self.lo[1]),
@@ -42,7 +42,7 @@ impl Rect {
         ]
     }
 
-    /// World lengths of the two sides.
+    /// Returns the lengths of the two sides in world units.
     pub fn sides(&self, lattice: &Lattice) -> [f64; 2] {
         let (u, v) = Self::in_plane_axes(self.axis);
         [
@@ -51,14 +51,16 @@ impl Rect {
         ]
     }
 
-    /// Whether the rectangle spans more than one cell of the grid along some side.
+    /// Returns true if the rectangle spans more than one cell of the grid along a side.
     pub fn spans_cells(&self) -> bool {
         (0..2).any(|i| self.hi[i] - self.lo[i] > UNITS_PER_CELL)
     }
 
-    /// The parts that a quadtree node splits into: four, or two when one side is less than half the other, so
-    /// that the parts of a long rectangle become square. Sides that span several grid cells are cut at a cell
-    /// border. Empty when neither side can be halved.
+    /// Returns the parts into which a quadtree splits this rectangle, or no parts if neither side can be
+    /// halved.
+    ///
+    /// There are four parts, or two if one side is less than half as long as the other side, so that the
+    /// parts of a long rectangle become square. Sides that span several grid cells are cut at a cell border.
     pub fn split(&self, lattice: &Lattice) -> Vec<Self> {
         let sides = self.sides(lattice);
         let longest = sides[0].max(sides[1]);

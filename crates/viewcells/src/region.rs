@@ -1,24 +1,24 @@
-//! The part of space in which viewpoints can be: a tree of half-spaces, whose planes go through triangles of
-//! the scene.
+//! The part of space in which viewpoints can be: a tree of half-spaces whose planes contain triangles of the
+//! scene.
 //!
-//! A triangle names a plane exactly and in few bytes. The planes themselves, and what lies on which side of
-//! them, are the business of `sightline-portals`; here the tree is data of a job.
+//! The index of a triangle identifies a plane exactly and in few bytes. The crate `sightline-portals`
+//! computes the planes and their sides. In this module, the tree is only data of a job.
 
 use sightline_numbers::varint;
 
-/// Most bytes of an encoded region: well below the size of a message.
+/// The maximum size of an encoded region in bytes, well below the maximum size of a message.
 pub const MOST_BYTES: usize = 1 << 20;
 
-/// A node of a region. The nodes are in preorder: a split is followed by the nodes of its lesser side, then
-/// by those of its greater side.
+/// A node of a region. The nodes are in preorder: after a split come the nodes of its lower side, then the
+/// nodes of its upper side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegionNode {
-    /// No viewpoint is here.
+    /// A part of space without viewpoints.
     Outside,
-    /// Viewpoints can be anywhere here.
+    /// A part of space in which viewpoints can be anywhere.
     Inside,
-    /// The plane through a triangle divides this part of space. It is n·x = k with the first component of n
-    /// that is not 0 positive; its lesser side has n·x < k.
+    /// The plane through the triangle with this id divides this part of space. The plane is n·x = k, with a
+    /// positive first nonzero component of n. The lower side of the plane has n·x < k.
     Split(u32),
 }
 
@@ -28,31 +28,32 @@ pub struct Region {
     nodes: Vec<RegionNode>,
 }
 
-/// Bytes that are no region.
+/// The reason why bytes or nodes are not a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the region of viewpoints cannot be read: {0}")]
 pub struct RegionError(&'static str);
 
 impl Region {
-    /// A region of these nodes.
+    /// Creates a region of these nodes.
     ///
     /// # Errors
-    /// [`RegionError`] when they are no tree, or larger than [`MOST_BYTES`].
+    /// [`RegionError`] if the nodes do not form a tree in canonical form with an inside, or if the encoded
+    /// region is larger than [`MOST_BYTES`].
     pub fn new(nodes: Vec<RegionNode>) -> Result<Self, RegionError> {
         let region = Self { nodes };
         region.check()?;
         match region.encode().len() <= MOST_BYTES {
             true => Ok(region),
-            false => Err(RegionError("it has too many bytes")),
+            false => Err(RegionError("the encoded region exceeds 1 MiB")),
         }
     }
 
-    /// The nodes, in preorder.
+    /// Returns the nodes, in preorder.
     pub fn nodes(&self) -> &[RegionNode] {
         &self.nodes
     }
 
-    /// The greatest triangle that names a plane; `None` when there is no plane.
+    /// Returns the highest triangle id that identifies a plane, or `None` if the region has no planes.
     pub fn greatest_triangle(&self) -> Option<u32> {
         self.nodes
             .iter()
@@ -66,7 +67,8 @@ impl Region {
             .max()
     }
 
-    /// The nodes as bytes: a LEB128 number for each, 0 outside, 1 inside, else the triangle plus 2.
+    /// Encodes the nodes as bytes. Each node is one LEB128 number: 0 for outside, 1 for inside, and otherwise
+    /// the triangle plus 2.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for node in &self.nodes {
@@ -82,24 +84,24 @@ impl Region {
         bytes
     }
 
-    /// Reads a region.
+    /// Decodes a region.
     ///
     /// # Errors
-    /// [`RegionError`] when the bytes are not those of [`Self::encode`], or of a region without an inside.
+    /// [`RegionError`] if the bytes are not a result of [`Self::encode`], or if the region has no inside.
     pub fn decode(mut bytes: &[u8]) -> Result<Self, RegionError> {
         if bytes.len() > MOST_BYTES {
-            return Err(RegionError("it has too many bytes"));
+            return Err(RegionError("the encoded region exceeds 1 MiB"));
         }
         let mut nodes = Vec::new();
         while !bytes.is_empty() {
             let number = varint::read_shortest(&mut bytes, varint::MOST_BYTES);
             nodes.push(
-                match number.map_err(|_| RegionError("a number is malformed"))? {
+                match number.map_err(|_| RegionError("the number of a node is malformed"))? {
                     0 => RegionNode::Outside,
                     1 => RegionNode::Inside,
                     n => {
                         let triangle = u32::try_from(n - 2)
-                            .map_err(|_| RegionError("a triangle is too great"))?;
+                            .map_err(|_| RegionError("the id of a triangle exceeds 32 bits"))?;
                         RegionNode::Split(triangle)
                     }
                 },
@@ -111,11 +113,11 @@ impl Region {
     }
 
     fn check(&self) -> Result<(), RegionError> {
-        // Nodes that are still to come.
+        // The number of nodes that must still follow.
         let mut open = 1u64;
         for node in &self.nodes {
             if open == 0 {
-                return Err(RegionError("nodes follow its end"));
+                return Err(RegionError("further nodes follow the end of the tree"));
             }
             match node {
                 RegionNode::Split(_) => open += 1,
@@ -123,16 +125,18 @@ impl Region {
             }
         }
         if open != 0 {
-            return Err(RegionError("it is cut short"));
+            return Err(RegionError("the nodes end before the end of the tree"));
         }
         if !self.nodes.contains(&RegionNode::Inside) {
-            return Err(RegionError("nothing is inside"));
+            return Err(RegionError("no part of space is inside the region"));
         }
-        // One way of writing each region, because the bytes are part of a job's key.
+        // Each region has only one encoding, because the bytes are part of a job's key.
         let is_leaf = |n: &RegionNode| !matches!(n, RegionNode::Split(_));
         let alike = |w: &[RegionNode]| !is_leaf(&w[0]) && is_leaf(&w[1]) && w[1] == w[2];
         if self.nodes.windows(3).any(alike) {
-            return Err(RegionError("both sides of a plane are alike"));
+            return Err(RegionError(
+                "both sides of a plane are inside, or both are outside",
+            ));
         }
         Ok(())
     }
@@ -145,7 +149,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_region_is_one_tree_with_an_inside() {
+    fn region_is_one_tree_with_inside() {
         let whole = vec![Split(70_000), Split(1), Outside, Inside, Outside];
         let region = Region::new(whole.clone()).unwrap();
         assert_eq!(region.greatest_triangle(), Some(70_000));
@@ -168,7 +172,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
+        fn random_bytes_are_decoded_or_rejected(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
             if let Ok(region) = Region::decode(&bytes) {
                 prop_assert_eq!(Region::decode(&region.encode()), Ok(region));
             }

@@ -1,4 +1,4 @@
-//! Properties of the lattice, the splitting rule and the plan.
+//! Tests of properties of the lattice, the splitting rule and the plan.
 
 use glam::Vec3;
 use proptest::prelude::*;
@@ -22,7 +22,7 @@ fn leaves(
 
 proptest! {
     #[test]
-    fn a_grid_has_its_cells_each_of_one_unit_box(x in 1u32..9, y in 1u32..9, z in 1u32..9) {
+    fn grid_has_cells_of_one_unit_box_each(x in 1u32..9, y in 1u32..9, z in 1u32..9) {
         let d = Division::Grid([x, y, z]);
         let l = d.lattice(Vec3::splat(-1.5), Vec3::new(2.0, 3.0, 1e6)).unwrap();
         let mut cells = Vec::new();
@@ -38,7 +38,7 @@ proptest! {
     }
 
     #[test]
-    fn blocks_cover_every_cell_once_and_are_no_larger_than_asked(
+    fn blocks_cover_every_cell_once_within_size_limit(
         cells in prop_oneof![[1u32..20, 1u32..20, 1u32..6], [1u32..600, 1u32..2, 1u32..3]],
         most in prop_oneof![Just(1u32), Just(8), Just(64), Just(512), 1u32..=512],
     ) {
@@ -49,7 +49,7 @@ proptest! {
         prop_assert_eq!(plan.tiles.iter().map(|t| t.cells).sum::<u64>(), total);
         prop_assert!(plan.tiles.iter().all(|t| t.kind == TileKind::Leaf && t.needs.is_empty()));
         prop_assert!(plan.tiles.iter().all(|t| (1..=u64::from(most)).contains(&t.cells)));
-        // Halving leaves no block less than half as large as it may be, but for odd sides.
+        // Halving makes no block smaller than half the maximum size, except for odd sides.
         prop_assert!(total > u64::from(most) || plan.tiles.len() == 1);
     }
 
@@ -95,7 +95,7 @@ proptest! {
     }
 
     #[test]
-    fn a_rectangle_is_split_without_gap_or_overlap(
+    fn rectangle_splits_without_gap_or_overlap(
         u in 1u32..7, v in 1u32..7, du in 0u32..17, dv in 0u32..17, axis in 0usize..3,
     ) {
         let d = Division::Grid([8, 8, 8]);
@@ -137,7 +137,7 @@ fn neighbours_agree_on_positions_to_the_bit() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn lattice_errors_report_invalid_values() {
     let box_error = Division::Grid([1; 3])
         .lattice(Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0))
         .unwrap_err();

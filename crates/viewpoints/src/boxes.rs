@@ -1,25 +1,25 @@
-//! Viewpoints in any of several boxes.
+//! Viewpoints in the union of several boxes.
 
 use sightline_numbers::Aabb;
 use sightline_viewcells::PartMask;
 
-use crate::{Parts, within};
+use crate::{PartPlanes, within};
 
-/// Marks the parts that share a volume with one of the boxes, or an area or a length with a flat one.
-/// `cells` are those of the grid of `parts`.
-pub fn mark(parts: &Parts, cells: [u32; 3], boxes: &[Aabb]) -> PartMask {
+/// Marks the parts that share a volume with one of the boxes. A flat box must share an area, a length or a
+/// point with a part. `cells` are the numbers of cells along each axis of the grid of `parts`.
+pub fn mark(parts: &PartPlanes, cells: [u32; 3], boxes: &[Aabb]) -> PartMask {
     let mut marks = PartMask::empty(cells);
-    for of in boxes {
-        for part in within(parts.touched(of)) {
+    for marked in boxes {
+        for part in within(parts.touched(marked)) {
             let at = parts.bounds(part);
-            let shares = |a: usize| match of.min[a] == of.max[a] {
-                // As of a point: the part above it.
+            let shares = |a: usize| match marked.min[a] == marked.max[a] {
+                // A box without extent along the axis belongs to the part above it, like a point.
                 true => {
-                    let last = at.max[a] == parts.whole().max[a] && of.min[a] == at.max[a];
-                    at.min[a] <= of.min[a] && (of.min[a] < at.max[a] || last)
+                    let last = at.max[a] == parts.whole().max[a] && marked.min[a] == at.max[a];
+                    at.min[a] <= marked.min[a] && (marked.min[a] < at.max[a] || last)
                 }
-                // A common face, edge or corner is no volume.
-                false => at.min[a] < of.max[a] && of.min[a] < at.max[a],
+                // A shared face, edge or corner is not a volume.
+                false => at.min[a] < marked.max[a] && marked.min[a] < at.max[a],
             };
             if (0..3).all(shares) {
                 marks.mark(part);
@@ -37,13 +37,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_that_share_volume_with_a_box_are_marked_and_no_others() {
+    fn marks_only_parts_that_share_volume_with_box() {
         let cells = [2, 1, 1];
         let lattice = Division::Grid(cells)
             .lattice(Vec3::ZERO, Vec3::new(8.0, 4.0, 4.0))
             .unwrap();
-        let parts = Parts::new(&lattice, cells);
-        // Parts have sides of one.
+        let parts = PartPlanes::new(&lattice, cells);
+        // The sides of the parts are 1.
         let boxes = [
             Aabb {
                 min: Vec3::new(0.5, 0.0, 0.0),
@@ -59,7 +59,7 @@ mod tests {
             .filter(|p| marks.has(*p))
             .collect();
         assert_eq!(marked, [[0, 0, 0], [1, 0, 0], [7, 3, 3]]);
-        // Flat ones on planes between parts, and at the end of the box.
+        // Flat boxes on planes between parts, and at the end of the view box.
         let flat = |x: f32| {
             mark(
                 &parts,

@@ -1,11 +1,26 @@
-//! Where viewpoints can be: marks the parts of view cells that hold viewpoints, from boxes, closed meshes,
-//! navigation meshes, points, and the parts that free segments from these points reach.
+//! The parts of view cells in which viewpoints can be.
 //!
-//! Marks are [`PartMask`]: each cell of a grid has 4×4×4 parts, and a part is marked when a viewpoint may
-//! be in it. Boxes and meshes mark every part that they meet. Points mark the parts that rays from them
-//! cross, so a part behind a gap that no ray finds stays unmarked.
+//! Marks are a [`PartMask`]: each cell of a grid has 4×4×4 parts, and a part is marked if a viewpoint may be
+//! in the part. The client computes the marks before it submits a job. This crate does not sample visibility
+//! and does not depend on jobs. `docs/viewpoints.md` describes the options.
 //!
-//! This crate samples no visibility and depends on no job.
+//! # Modules
+//!
+//! - `boxes`: marks from a union of boxes.
+//! - `mesh`: marks from closed meshes, or from heights above a navigation mesh.
+//! - `points`: files of viewpoints with weights, and marks around points.
+//! - `reach`, `walk`: marks of the parts that free segments from given points cross.
+//!
+//! # Invariants
+//!
+//! - The marks are part of the job. After the submission, the result does not depend on the client's machine
+//!   or tracer.
+//! - `boxes` and `mesh` mark every part that a box or mesh meets. `reach` marks the parts that rays from
+//!   points cross, so a part behind a gap that no ray passes stays unmarked.
+//!
+//! # Limits
+//!
+//! - The cells of adaptive trees have no marks.
 
 pub mod boxes;
 pub mod mesh;
@@ -17,84 +32,84 @@ pub use sightline_viewcells::PartMask;
 
 use rayon::prelude::*;
 use sightline_numbers::Aabb;
-use sightline_trace::BackendError;
+use sightline_trace::TracerError;
 use sightline_viewcells::part_mask::PARTS;
 use sightline_viewcells::{Lattice, UNITS_PER_CELL};
 
-/// Why it is not known where viewpoints can be.
+/// The reason why the positions of viewpoints cannot be determined.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewpointsError {
-    /// A file of viewpoints cannot be read.
+    /// A file of viewpoints that cannot be read.
     #[error("line {line} of the viewpoints cannot be read: {source}")]
     Read {
-        /// From 1.
+        /// The line number, starting at 1.
         line: u64,
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A line is no viewpoint.
+    /// A line of a file of viewpoints that is not a viewpoint.
     #[error(
         "line {line} is not a viewpoint: {reason}; write `x y z`, or `x y z weight` with a weight ≥ 0"
     )]
     Line {
-        /// From 1.
+        /// The line number, starting at 1.
         line: u64,
-        /// What is wrong with it.
+        /// The reason why the line is rejected.
         reason: String,
     },
-    /// There is no viewpoint at all.
+    /// An input without any usable viewpoint. The text describes the input and the remedy.
     #[error("{0}")]
     None(String),
-    /// A mesh that should enclose viewpoints is open.
+    /// An open mesh that should enclose viewpoints.
     #[error(
         "the view mesh is not closed: {open} of its edges do not join two triangles in opposite directions, \
-         the first at ({}, {}, {}); close it, or give --eye-heights LO,HI if it is a navigation mesh",
+         the first at ({}, {}, {}); close the mesh, or give --eye-heights LO,HI for a navigation mesh",
         at[0], at[1], at[2]
     )]
     Open {
-        /// Number of edges.
+        /// The number of open edges.
         open: u64,
-        /// An end of the first of them, world space.
+        /// An end of the first open edge, in world space.
         at: [f32; 3],
     },
-    /// A point from which places are reached is inside something solid.
+    /// A starting point that is inside a solid.
     #[error(
-        "the point ({}, {}, {}) is inside the closed surface of {object:?}; give a point where a viewpoint \
-         can be",
+        "the point ({}, {}, {}) is inside the closed surface of {object:?}; give a point outside of \
+         solids",
         point[0], point[1], point[2]
     )]
     Solid {
-        /// The point.
+        /// The point inside the solid, in world space.
         point: [f32; 3],
-        /// The object that encloses it.
+        /// The name of the object that encloses the point.
         object: String,
     },
-    /// A point is outside the view box.
+    /// A point outside the view box.
     #[error(
-        "the point ({}, {}, {}) is outside the view box, {min:?} to {max:?}; move it inside, or give a \
-         larger --view-box",
+        "the point ({}, {}, {}) is outside the view box, {min:?} to {max:?}; move the point inside, or \
+         give a larger --view-box",
         point[0], point[1], point[2]
     )]
     Outside {
-        /// The point.
+        /// The point outside the view box, in world space.
         point: [f32; 3],
-        /// Least corner of the view box.
+        /// The minimum corner of the view box.
         min: [f32; 3],
-        /// Greatest corner of the view box.
+        /// The maximum corner of the view box.
         max: [f32; 3],
     },
-    /// The tracer failed.
+    /// An error of the tracer.
     #[error(transparent)]
-    Backend(#[from] BackendError),
+    Backend(#[from] TracerError),
 }
 
 /// The planes of the parts of a grid, along each axis.
-pub struct Parts {
+pub struct PartPlanes {
     planes: [Vec<f32>; 3],
 }
 
-impl Parts {
-    /// The parts of a grid of `cells` cells.
+impl PartPlanes {
+    /// Computes the planes of the parts of a grid with `cells` cells along each axis.
     pub fn new(lattice: &Lattice, cells: [u32; 3]) -> Self {
         let plane = |a: usize, k: u32| lattice.coordinate(a, k * (UNITS_PER_CELL / PARTS));
         Self {
@@ -102,12 +117,12 @@ impl Parts {
         }
     }
 
-    /// Parts along each axis.
+    /// Returns the number of parts along each axis.
     pub fn sides(&self) -> [u32; 3] {
         [0, 1, 2].map(|a| self.planes[a].len() as u32 - 1)
     }
 
-    /// The box of a part.
+    /// Returns the box of the part at these coordinates in the grid of parts.
     pub fn bounds(&self, part: [u32; 3]) -> Aabb {
         let corner =
             |up: u32| glam::Vec3::from([0, 1, 2].map(|a| self.planes[a][(part[a] + up) as usize]));
@@ -117,7 +132,7 @@ impl Parts {
         }
     }
 
-    /// The whole box.
+    /// Returns the box that contains all parts.
     pub fn whole(&self) -> Aabb {
         let sides = self.sides();
         Aabb {
@@ -126,23 +141,24 @@ impl Parts {
         }
     }
 
-    /// The parts whose closed box the closed box `of` touches, as ranges along each axis.
-    pub fn touched(&self, of: &Aabb) -> [std::ops::Range<u32>; 3] {
+    /// Returns the parts whose closed box touches the closed box `bounds`, as a range of coordinates along
+    /// each axis.
+    pub fn touched(&self, bounds: &Aabb) -> [std::ops::Range<u32>; 3] {
         [0, 1, 2].map(|a| {
             let planes = &self.planes[a];
-            let from = planes[1..].partition_point(|p| *p < of.min[a]) as u32;
-            let to = planes[..planes.len() - 1].partition_point(|p| *p <= of.max[a]) as u32;
+            let from = planes[1..].partition_point(|p| *p < bounds.min[a]) as u32;
+            let to = planes[..planes.len() - 1].partition_point(|p| *p <= bounds.max[a]) as u32;
             from..to.max(from)
         })
     }
 
-    /// The part of a point; `None` outside the box.
+    /// Returns the coordinates of the part that contains a point, or `None` if the point is outside the grid.
     pub fn of_point(&self, point: [f32; 3]) -> Option<[u32; 3]> {
         let inside = (0..3).all(|a| {
             let planes = &self.planes[a];
             planes[0] <= point[a] && point[a] <= planes[planes.len() - 1]
         });
-        // A point on a plane belongs to the upper side, as in a result's tree.
+        // A point on a plane belongs to the upper side, as in the tree of a result.
         inside.then(|| {
             [0, 1, 2].map(|a| {
                 let planes = &self.planes[a];
@@ -154,8 +170,12 @@ impl Parts {
     }
 }
 
-/// Marks every part of which `meets` says that its box holds viewpoints.
-pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool + Sync) -> PartMask {
+/// Marks every part for whose box `meets` returns true. `cells` are the numbers of cells along each axis.
+pub fn mark_where(
+    parts: &PartPlanes,
+    cells: [u32; 3],
+    meets: impl Fn(Aabb) -> bool + Sync,
+) -> PartMask {
     let all: Vec<[u32; 3]> = each(parts.sides()).collect();
     let met: Vec<[u32; 3]> = all
         .into_par_iter()
@@ -166,7 +186,7 @@ pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool +
     marks
 }
 
-/// The parts that both have marked.
+/// Returns the mask of the parts that are marked in both masks, which must have the same grid.
 pub fn both(a: &PartMask, b: &PartMask) -> PartMask {
     let mut out = PartMask::empty(a.cells());
     each(a.sides())
@@ -175,13 +195,13 @@ pub fn both(a: &PartMask, b: &PartMask) -> PartMask {
     out
 }
 
-/// All parts, x fastest.
+/// Returns the coordinates of all parts of a grid with `sides` parts along each axis, with x varying fastest.
 pub(crate) fn each(sides: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
     let [nx, ny, nz] = sides;
     (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
 }
 
-/// The parts in ranges along each axis.
+/// Returns the coordinates of the parts in a range along each axis.
 pub(crate) fn within([xs, ys, zs]: [std::ops::Range<u32>; 3]) -> impl Iterator<Item = [u32; 3]> {
     zs.flat_map(move |z| {
         let xs = xs.clone();

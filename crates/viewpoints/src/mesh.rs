@@ -1,8 +1,9 @@
 //! Viewpoints in closed meshes, or at eye height above a navigation mesh.
 //!
-//! Closed meshes: a part that a triangle touches is marked. The other parts make regions of neighbours, which
-//! no triangle separates, so all of a region is inside or all outside: the winding number of one of its
-//! points decides (the sum of the solid angles of all triangles; Van Oosterom and Strackee 1983).
+//! A part that a triangle of a closed mesh touches is marked. The other parts form regions of neighbours
+//! without a triangle between them, so a region is completely inside or completely outside. The winding
+//! number of one point of a region (the sum of the solid angles of all triangles; Van Oosterom and Strackee
+//! 1983) determines if the region is inside.
 
 use std::collections::BTreeMap;
 
@@ -11,14 +12,14 @@ use sightline_numbers::Aabb;
 use sightline_scene::{Scene, Triangle, overlap};
 use sightline_viewcells::PartMask;
 
-use crate::{Parts, ViewpointsError, each, within};
+use crate::{PartPlanes, ViewpointsError, each, within};
 
-/// Marks the parts inside closed meshes, and those that their triangles touch.
+/// Marks the parts inside the closed surfaces of `mesh`, and the parts that triangles of `mesh` touch.
 ///
 /// # Errors
-/// [`ViewpointsError::Open`] for a mesh that is not closed.
+/// [`ViewpointsError::Open`] if the mesh is not closed.
 pub fn mark_closed(
-    parts: &Parts,
+    parts: &PartPlanes,
     cells: [u32; 3],
     mesh: &Scene,
 ) -> Result<PartMask, ViewpointsError> {
@@ -68,10 +69,10 @@ pub fn mark_closed(
     Ok(marks)
 }
 
-/// Marks the parts that hold points from `heights[0]` to `heights[1]` above a navigation mesh, along the axis
-/// `up`.
+/// Marks the parts that contain points from `heights[0]` to `heights[1]` above a navigation mesh, in world
+/// units along the axis `up` (0 = x, 1 = y, 2 = z).
 pub fn mark_above(
-    parts: &Parts,
+    parts: &PartPlanes,
     cells: [u32; 3],
     mesh: &Scene,
     up: usize,
@@ -89,7 +90,8 @@ pub fn mark_above(
     marks
 }
 
-/// The box around all points from `heights[0]` to `heights[1]` above a navigation mesh.
+/// Computes the box around all points from `heights[0]` to `heights[1]` above a navigation mesh, in world
+/// units along the axis `up`.
 pub fn bounds_above(mesh: &Scene, up: usize, heights: [f32; 2]) -> Aabb {
     let Aabb { mut min, mut max } = mesh.bounds();
     min[up] += heights[0];
@@ -97,10 +99,10 @@ pub fn bounds_above(mesh: &Scene, up: usize, heights: [f32; 2]) -> Aabb {
     Aabb { min, max }
 }
 
-/// A triangle swept along an axis.
+/// The volume between two copies of a triangle that are moved to two heights along an axis.
 struct Prism {
     corners: [DVec3; 6],
-    /// Directions that may separate it from a box.
+    /// The directions that may separate the prism from a box.
     axes: Vec<DVec3>,
 }
 
@@ -120,8 +122,8 @@ impl Prism {
         ];
         let edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2], axis];
         let normal = edges[0].cross(edges[1]);
-        // Separating axes: the normals of both, and the cross products of their edges. Crosses with `axis`
-        // are the normals of the prism's sides.
+        // The separating axes are the normals of both shapes and the cross products of their edges. Cross
+        // products with `axis` are the normals of the prism's sides.
         let units = [DVec3::X, DVec3::Y, DVec3::Z];
         let crosses = edges.into_iter().flat_map(|e| units.map(|u| e.cross(u)));
         let axes = crosses
@@ -135,10 +137,10 @@ impl Prism {
         Aabb::around(self.corners.map(DVec3::as_vec3))
     }
 
-    /// Whether it meets a box. Rounding can only make a pair that almost touches count as meeting or not,
-    /// which moves the border of the marks by less than single precision.
-    fn meets(&self, of: &Aabb) -> bool {
-        let (min, max) = (of.min.as_dvec3(), of.max.as_dvec3());
+    /// Returns true if the prism meets a box. If the distance of the two is about 0, rounding may determine
+    /// the result. The error is below the resolution of single precision.
+    fn meets(&self, bounds: &Aabb) -> bool {
+        let (min, max) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
         self.axes.iter().all(|axis| {
             let [mut low, mut high] = [f64::INFINITY, f64::NEG_INFINITY];
             for corner in &self.corners {
@@ -156,10 +158,11 @@ impl Prism {
     }
 }
 
-/// Every edge joins two triangles in opposite directions, or several such pairs. Vertices are the same if
-/// their coordinates are.
+/// Checks that every edge joins two triangles in opposite directions, or several such pairs. Vertices with
+/// equal coordinates are the same vertex.
 fn check_closed(mesh: &Scene) -> Result<(), ViewpointsError> {
-    // For each edge, from the lesser corner, the triangles along it less those against it.
+    // For each edge, directed from its smaller corner: the number of triangles in this direction minus the
+    // number of triangles in the opposite direction, and an end of the edge.
     let mut edges: BTreeMap<[[u32; 3]; 2], (i64, Vec3)> = BTreeMap::new();
     let key = |v: Vec3| v.to_array().map(|x| (x + 0.0).to_bits());
     for triangle in mesh.triangles().iter().filter(|t| !t.is_degenerate()) {
@@ -184,8 +187,8 @@ fn check_closed(mesh: &Scene) -> Result<(), ViewpointsError> {
     }
 }
 
-/// How often the triangles wind around a point: the sum of their solid angles over 4π (Van Oosterom and
-/// Strackee 1983).
+/// Computes the winding number of the triangles around a point: the sum of their solid angles over 4π (Van
+/// Oosterom and Strackee 1983).
 pub(crate) fn winding(triangles: &[Triangle], point: DVec3) -> f64 {
     let angle = |t: &Triangle| {
         let [a, b, c] = t.v.map(|v| v.as_dvec3() - point);
@@ -223,7 +226,7 @@ mod tests {
         .unwrap()
     }
 
-    /// The surface of a box, facing outwards.
+    /// Creates the surface of a box, facing outwards.
     fn solid(min: Vec3, max: Vec3) -> Vec<Triangle> {
         let at = |k: u32| {
             Vec3::from([0, 1, 2].map(|a| {
@@ -250,19 +253,19 @@ mod tests {
             .collect()
     }
 
-    fn parts() -> (Parts, [u32; 3]) {
+    fn parts() -> (PartPlanes, [u32; 3]) {
         let cells = [2, 2, 2];
         let lattice = Division::Grid(cells)
             .lattice(Vec3::ZERO, Vec3::splat(8.0))
             .unwrap();
-        (Parts::new(&lattice, cells), cells)
+        (PartPlanes::new(&lattice, cells), cells)
     }
 
     #[test]
-    fn the_inside_of_a_closed_mesh_is_marked_and_its_hollow_is_not() {
+    fn marks_inside_of_closed_mesh_and_not_cavity() {
         let (parts, cells) = parts();
         let mut triangles = solid(Vec3::splat(0.5), Vec3::splat(7.5));
-        // A hollow: a smaller box that faces inwards.
+        // A cavity: a smaller box that faces inwards.
         let hollow = solid(Vec3::splat(2.5), Vec3::splat(5.5));
         triangles.extend(hollow.iter().map(|t| Triangle {
             v: [t.v[0], t.v[2], t.v[1]],
@@ -281,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_navigation_mesh_is_raised_to_the_eyes() {
+    fn navigation_mesh_is_raised_to_eye_height() {
         let (parts, cells) = parts();
         let v = [
             Vec3::new(0.2, 1.0, 0.2),

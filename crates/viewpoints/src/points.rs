@@ -1,29 +1,30 @@
-//! Files of viewpoints: a line `x y z` or `x y z weight` for each, as telemetry or a camera path has them.
+//! Files of viewpoints, for example from telemetry or a camera path: each line is `x y z` or `x y z weight`.
 
 use std::io::{BufRead, Read as _};
 
 use crate::ViewpointsError;
 
-/// The longest line in bytes; no viewpoint needs more.
+/// Maximum length of a line in bytes. No viewpoint needs more.
 const MOST_LINE: u64 = 4096;
-/// Most viewpoints of a file.
+/// Maximum number of viewpoints of a file.
 const MOST_POINTS: usize = 10_000_000;
 
-/// A viewpoint and how much it counts.
+/// A viewpoint and its weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weighted {
-    /// World space.
+pub struct WeightedViewpoint {
+    /// The position in world space.
     pub point: [f32; 3],
-    /// At least 0; viewpoints of weight 0 do not count. 1 in a line without one.
+    /// The weight, above 0. Default: 1.
     pub weight: f64,
 }
 
-/// Reads viewpoints. Spaces, tabs or commas are between numbers; empty lines and what follows `#` are
-/// skipped, and so are viewpoints of weight 0.
+/// Reads a file of viewpoints. Spaces, tabs or commas separate numbers. Empty lines, comments after `#`, and
+/// viewpoints of weight 0 are skipped.
 ///
 /// # Errors
-/// [`ViewpointsError::Read`] and [`ViewpointsError::Line`] with the line, and [`ViewpointsError::None`].
-pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, ViewpointsError> {
+/// [`ViewpointsError::Read`] or [`ViewpointsError::Line`] with the number of an unreadable or invalid line.
+/// [`ViewpointsError::None`] if the file has no viewpoint with a weight above 0.
+pub fn read(mut from: impl BufRead) -> Result<Vec<WeightedViewpoint>, ViewpointsError> {
     let (mut points, mut bytes) = (Vec::new(), Vec::new());
     for line in 1.. {
         bytes.clear();
@@ -38,9 +39,9 @@ pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, ViewpointsError> {
             reason: reason.to_owned(),
         };
         if bytes.len() as u64 > MOST_LINE {
-            return Err(bad("it is longer than 4096 bytes"));
+            return Err(bad("the line is longer than 4096 bytes"));
         }
-        let text = std::str::from_utf8(&bytes).map_err(|_| bad("it is not text"))?;
+        let text = std::str::from_utf8(&bytes).map_err(|_| bad("the line is not UTF-8 text"))?;
         let text = text.split('#').next().unwrap_or_default();
         let words = text
             .split(|c: char| c == ',' || c.is_whitespace())
@@ -55,22 +56,22 @@ pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, ViewpointsError> {
             [] => continue,
             [x, y, z] => ([*x, *y, *z], 1.0),
             [x, y, z, weight] => ([*x, *y, *z], *weight),
-            some => return Err(bad(&format!("it has {} numbers", some.len()))),
+            some => return Err(bad(&format!("the line has {} numbers", some.len()))),
         };
         let point = point.map(|c| c as f32);
         if point.iter().any(|c| !c.is_finite()) {
             return Err(bad("a coordinate is not finite"));
         }
         if !weight.is_finite() || weight < 0.0 {
-            return Err(bad("its weight is negative or not finite"));
+            return Err(bad("the weight is negative or not finite"));
         }
         if points.len() == MOST_POINTS {
             return Err(bad(
-                "the file has more than 10 000 000 viewpoints; leave some out",
+                "the file has more than 10 000 000 viewpoints; remove some",
             ));
         }
         if weight > 0.0 {
-            points.push(Weighted { point, weight });
+            points.push(WeightedViewpoint { point, weight });
         }
     }
     match points.is_empty() {
@@ -92,7 +93,7 @@ mod tests {
         let expected = [([1.0, 2.0, 3.0], 1.0), ([4.0, 5.0, 6.0], 0.5)];
         assert_eq!(
             points,
-            expected.map(|(point, weight)| Weighted { point, weight })
+            expected.map(|(point, weight)| WeightedViewpoint { point, weight })
         );
     }
 

@@ -1,11 +1,10 @@
-//! Viewpoints that are reached from given points along free segments: at most a distance from one of them, or
-//! by any number of segments.
+//! Viewpoints that are reachable from given points along free segments: within a distance of a given point,
+//! or along any number of segments.
 //!
-//! From a point rays are cast in all directions, more and more while they find unmarked parts. Where any
-//! number of segments is allowed, every newly marked part has a point that was reached, and rays are cast
-//! from that point in turn. Parts are marked in the order of the points and their rays, so threads change
-//! nothing. Where walls enclose the points, the region that they enclose says more
-//! (`sightline-portals`).
+//! Rays are cast from a point in all directions. While the rays cross unmarked parts, more rays follow. If
+//! any number of segments is allowed, every newly marked part has a reached point, and rays are cast from
+//! that point in turn. Parts are marked in the order of the points and their rays, so the result does not
+//! depend on threads. If walls enclose the points, the enclosed region is more precise (`sightline-portals`).
 
 use rayon::prelude::*;
 use sightline_scene::{Aabb, Scene};
@@ -16,42 +15,46 @@ use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_viewcells::PartMask;
 
 use crate::mesh::winding;
-use crate::{Parts, ViewpointsError, walk};
+use crate::{PartPlanes, ViewpointsError, walk};
 
-/// Tiles of 4×4 directions along a cube face, in the first and in the last round from a point.
+/// The number of tiles of 4×4 directions along a side of a cube face, in the first and in the last round of
+/// rays from a point.
 const FIRST_TILES: u32 = 1;
 const MOST_TILES: u32 = 32;
-/// A point goes on while at least one ray in this many has found an unmarked part.
+/// Maximum number of rays per newly marked part. If a round needs more rays, no further round starts from the
+/// point.
 const RAYS_PER_FIND: usize = 200;
-/// Points from which rays are cast before their finds are marked.
+/// The number of points from which rays are cast before their crossings are marked.
 const BATCH: usize = 256;
-/// Name of the stream of random numbers.
+/// The last integer in the names of this module's random streams, so that they differ from other streams.
 const REACH: u64 = 9;
 
-/// A part that a ray crosses, and a point of the ray in it.
-type Crossing = ([u32; 3], [f32; 3]);
+/// The position of a cell part that a ray crosses, in the grid of parts, and a point of the ray in this part.
+type PartCrossing = ([u32; 3], [f32; 3]);
 
-/// What rays are traced in.
-pub struct Tracing<'a> {
-    /// The scene's triangles.
+/// The scene and the parts in which rays are traced.
+pub struct ReachScene<'a> {
+    /// The scene whose triangles stop rays.
     pub scene: &'a Scene,
-    /// Their tracer.
+    /// The tracer of the scene's triangles.
     pub sight: &'a SightLineTracer<'a>,
-    /// The parts to be marked.
-    pub parts: &'a Parts,
-    /// Cells of their grid.
+    /// The planes of the parts that the functions of this module mark.
+    pub parts: &'a PartPlanes,
+    /// The number of cells of the parts' grid along each axis.
     pub cells: [u32; 3],
-    /// Least distance from a see-through triangle to the next search, world units.
+    /// The minimum distance from a see-through triangle to the start of the next search, in world units.
     pub step: f32,
 }
 
-/// Marks where a free segment of at most `reach` from one of the points ends; with a reach of 0, the points
-/// alone. Points outside the box mark nothing; returns how many there are.
+/// Marks the parts that rays of length `reach` (world units) from one of the points cross before they meet a
+/// blocking triangle. With a `reach` of 0, marks only the parts that contain the points.
+///
+/// Points outside the view box are ignored. Also returns the number of ignored points.
 ///
 /// # Errors
-/// [`ViewpointsError::None`] when all points are outside, [`ViewpointsError::Backend`].
+/// [`ViewpointsError::None`] if all points are outside, or [`ViewpointsError::Backend`] if the tracer fails.
 pub fn mark_around(
-    t: &Tracing<'_>,
+    t: &ReachScene<'_>,
     points: &[[f32; 3]],
     reach: f32,
 ) -> Result<(PartMask, usize), ViewpointsError> {
@@ -63,7 +66,7 @@ pub fn mark_around(
         .collect();
     if inside.is_empty() {
         return Err(ViewpointsError::None(
-            "none of the viewpoints is in the view box; are they in the scene's units and axes?"
+            "no viewpoint is in the view box; check that the viewpoints have the scene's units and axes"
                 .to_owned(),
         ));
     }
@@ -84,12 +87,13 @@ pub fn mark_around(
     Ok((marks, points.len() - inside.len()))
 }
 
-/// Marks all that viewpoints get to from `seeds` along free segments, and on from there.
+/// Marks all parts that are reachable from the starting points `seeds` along any number of free segments.
+/// Calls `progress` with the number of marked parts after each round.
 ///
 /// # Errors
-/// As [`check`].
+/// The errors of [`check`].
 pub fn mark_reachable(
-    t: &Tracing<'_>,
+    t: &ReachScene<'_>,
     seeds: &[[f32; 3]],
     progress: &mut dyn FnMut(u64),
 ) -> Result<PartMask, ViewpointsError> {
@@ -115,11 +119,12 @@ pub fn mark_reachable(
     Ok(marks)
 }
 
-/// The parts of points from which places are reached.
+/// Checks the starting points `seeds`, and returns the coordinates of the parts that contain them.
 ///
 /// # Errors
-/// [`ViewpointsError::Outside`] and [`ViewpointsError::Solid`] for a point, [`ViewpointsError::Backend`].
-pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, ViewpointsError> {
+/// [`ViewpointsError::Outside`] or [`ViewpointsError::Solid`] for a point, or [`ViewpointsError::Backend`] if
+/// the tracer fails.
+pub fn check(t: &ReachScene<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, ViewpointsError> {
     let mut parts = Vec::new();
     for seed in seeds {
         let Some(part) = t.parts.of_point(*seed) else {
@@ -137,10 +142,10 @@ pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, Viewp
     Ok(parts)
 }
 
-/// Casts rays from all points, up to a distance, and marks the parts they cross. `found` gets every newly
-/// marked part with a point in it.
+/// Casts rays of length `reach` (world units) from all points, and marks the parts that the rays cross. Calls
+/// `found` with every newly marked part and a point in this part.
 fn cast_from_all(
-    t: &Tracing<'_>,
+    t: &ReachScene<'_>,
     points: Vec<[f32; 3]>,
     reach: f64,
     marks: &mut PartMask,
@@ -151,7 +156,7 @@ fn cast_from_all(
         let mut tiles = FIRST_TILES;
         while !open.is_empty() && tiles <= MOST_TILES {
             let known = &*marks;
-            let crossed: Vec<Vec<Crossing>> = open
+            let crossed: Vec<Vec<PartCrossing>> = open
                 .par_iter()
                 .with_max_len(1)
                 .map(|point| cast(t, *point, tiles, reach, known))
@@ -178,14 +183,14 @@ fn cast_from_all(
     Ok(())
 }
 
-/// The unmarked parts that rays from a point cross, with a point in each.
+/// Returns the unmarked parts that rays from a point cross, with a point in each part.
 fn cast(
-    t: &Tracing<'_>,
+    t: &ReachScene<'_>,
     origin: [f32; 3],
     tiles: u32,
     reach: f64,
     known: &PartMask,
-) -> Result<Vec<Crossing>, ViewpointsError> {
+) -> Result<Vec<PartCrossing>, ViewpointsError> {
     let mut out = Vec::new();
     each_ray(t, origin, tiles, &mut |packet, lane| {
         let (origin, direction) = packet.ray(lane);
@@ -199,9 +204,10 @@ fn cast(
     Ok(out)
 }
 
-/// Traces rays evenly over all directions and calls `f` with each.
+/// Traces 6·`tiles`²·16 rays, evenly distributed over all directions, and calls `f` with the packet and the
+/// lane of each ray.
 fn each_ray(
-    t: &Tracing<'_>,
+    t: &ReachScene<'_>,
     origin: [f32; 3],
     tiles: u32,
     f: &mut dyn FnMut(&Packet, usize),
@@ -230,10 +236,12 @@ fn each_ray(
     Ok(())
 }
 
-/// Refuses a point inside something solid: most rays from it meet a back, as the file winds its
-/// triangles, and an object that does not enclose the whole scene winds around it. A closed room is no
-/// solid: it is wound to be seen from inside, or it encloses all there is.
-fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), ViewpointsError> {
+/// Checks that a point is not inside a solid.
+///
+/// A point is inside a solid if most rays from it meet the back of a triangle, as the file winds its
+/// triangles, and an object that does not enclose the whole scene winds around the point. A closed room is
+/// not a solid: its triangles face inwards, or the room encloses the whole scene.
+fn check_free(t: &ReachScene<'_>, point: [f32; 3]) -> Result<(), ViewpointsError> {
     let (mut backs, mut others) = (0u32, 0u32);
     each_ray(t, point, FIRST_TILES, &mut |packet, lane| {
         let triangle = packet.triangle[lane];

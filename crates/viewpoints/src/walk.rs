@@ -1,14 +1,19 @@
-//! The parts that a segment crosses, each with the middle of the segment in it (Amanatides and Woo 1987).
+//! The parts that a segment crosses, each with the midpoint of the segment's section in the part (Amanatides
+//! and Woo 1987).
 
-use crate::Parts;
+use crate::PartPlanes;
 
-/// Least part of a part's size that a segment crosses for the part to count.
+/// Minimum length of a segment's section in a part that [`walk`] reports, as a fraction of the part's
+/// smallest side.
 const LEAST: f64 = 1.0 / 256.0;
 
-/// Calls `each` with every part that the ray from `origin` along `direction` crosses up to the distance `end`
-/// (in lengths of `direction`), and a point of the ray in it.
+/// Calls `each` with every part that a ray crosses, and a point of the ray in this part. Skips parts in which
+/// the section of the ray is shorter than 1/256 of the smallest side of the part.
+///
+/// The ray starts at `origin`, has the direction `direction`, and ends at the distance `end`, in multiples of
+/// the length of `direction`.
 pub fn walk(
-    parts: &Parts,
+    parts: &PartPlanes,
     origin: [f32; 3],
     direction: [f32; 3],
     end: f64,

@@ -9,10 +9,10 @@
 //! # Ok::<(), sightline_pvs::PvsError>(())
 //! ```
 //!
-//! Objects are pairs of a glTF node and primitive. `bevy_gltf` spawns an entity for each: find its number
-//! with [`Sightline::object`] when the scene is ready. Give it to the entities with meshes and not to their
-//! nodes, whose children would be hidden with them. The level is where its file has it: without a transform
-//! of its own.
+//! Objects are pairs of a glTF node and primitive. `bevy_gltf` spawns an entity for each. Find its number
+//! with [`Sightline::object`] when the scene is ready. Give the number to the entities with meshes and not to
+//! their nodes, because hiding a node hides its children. The level must not have a transform: its
+//! coordinates are the coordinates of its file.
 
 use bevy_app::{App, Plugin, PostUpdate};
 use bevy_camera::visibility::{Visibility, VisibilitySystems};
@@ -21,7 +21,7 @@ use bevy_transform::TransformSystems;
 use bevy_transform::prelude::GlobalTransform;
 use sightline_pvs::{Pvs, PvsError};
 
-/// The entity from whose cell the scene is drawn: the camera.
+/// The entity whose cell determines the visible objects: the camera.
 #[derive(Component)]
 pub struct SightlineEye;
 
@@ -29,21 +29,22 @@ pub struct SightlineEye;
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SightlineObject(pub u32);
 
-/// A result, and what is visible now.
+/// A result with the visible objects of the current cell.
 #[derive(Resource)]
 pub struct Sightline {
     pvs: Pvs,
-    /// The objects that are in some set. Of others, such as moving ones, nothing is known.
+    /// True for each object that is in at least one set. The visibility of other objects, such as moving
+    /// ones, is unknown.
     known: Vec<bool>,
     cell: Option<u32>,
     visible: Vec<u32>,
 }
 
 impl Sightline {
-    /// Takes a result.
+    /// Wraps a result.
     ///
     /// # Errors
-    /// When the result is damaged.
+    /// [`PvsError`] if the result is damaged.
     pub fn new(pvs: Pvs) -> Result<Self, PvsError> {
         let mut known = vec![false; pvs.objects().len()];
         let mut visible = Vec::new();
@@ -61,7 +62,7 @@ impl Sightline {
         })
     }
 
-    /// The number of the object that a node of the glTF file draws as a primitive of its mesh.
+    /// Returns the number of the object that a node of the glTF file draws as a primitive of its mesh.
     pub fn object(&self, node: u32, primitive: u32) -> Option<u32> {
         let is = |s: &sightline_pvs::Source| s.node == node && s.primitive == primitive;
         let found = self
@@ -72,18 +73,18 @@ impl Sightline {
         found.map(|number| number as u32)
     }
 
-    /// The cell of the camera; `None` where nothing is known, so that everything is drawn.
+    /// Returns the cell of the camera. `None` outside known cells, where all objects are drawn.
     pub fn cell(&self) -> Option<u32> {
         self.cell
     }
 
-    /// Whether an object is to be drawn.
+    /// Returns true if an object should be drawn.
     fn shows(&self, SightlineObject(number): SightlineObject) -> bool {
         let is_known = self.known.get(number as usize).is_some_and(|is| *is);
         self.cell.is_none() || !is_known || self.visible.binary_search(&number).is_ok()
     }
 
-    /// Moves the eye, and says whether other objects may be visible now.
+    /// Moves the eye. Returns true if the visible objects may have changed.
     fn look_from(&mut self, eye: [f32; 3]) -> Result<bool, PvsError> {
         let mut cell = self.pvs.find_cell(eye);
         if let Some(number) = cell
@@ -102,12 +103,13 @@ impl Sightline {
     }
 }
 
-/// Hides what the eye's cell does not see, when the cell changes, and of entities that come later.
+/// A plugin that hides the objects outside the set of the eye's cell, whenever the cell changes. It also
+/// hides entities that are spawned later.
 pub struct SightlinePlugin;
 
 impl Plugin for SightlinePlugin {
     fn build(&self, app: &mut App) {
-        // The eye's place in this frame is known, and is not used to find what is visible yet.
+        // The eye's position in this frame is known here, and visibility is not propagated yet.
         let between = cull
             .after(TransformSystems::Propagate)
             .before(VisibilitySystems::VisibilityPropagate);

@@ -1,4 +1,5 @@
-//! An app without a window: the camera moves through two rooms, and only what its room sees is shown.
+//! An app without a window: the camera moves through two rooms, and only the objects that its room sees are
+//! shown.
 
 use bevy_app::App;
 use bevy_camera::visibility::Visibility;
@@ -8,7 +9,7 @@ use bevy_transform::prelude::{GlobalTransform, Transform};
 use sightline_bevy::{Sightline, SightlineEye, SightlineObject, SightlinePlugin};
 use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, Source};
 
-/// Two cells and four objects, of which the last is in no set: it moves, say.
+/// Creates a result of two cells and four objects. The last object is in no set, like a moving object.
 fn result() -> Pvs {
     let nodes = vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf];
     let tree = CellTree::new([[0.0; 3], [2.0, 1.0, 1.0]], nodes).unwrap();
@@ -32,7 +33,7 @@ fn result() -> Pvs {
         info_json: "{}".into(),
     };
     let mut builder = Builder::new(header).unwrap();
-    // Object 0 is seen from the first cell, 2 from the second, 1 from both, 3 from none.
+    // Object 0 is visible from the first cell, 2 from the second, 1 from both, 3 from neither.
     builder.push_cell(&[0, 2], &[], 0).unwrap();
     builder.push_cell(&[3, 5], &[], 0).unwrap();
     let mut file = Vec::new();
@@ -41,7 +42,7 @@ fn result() -> Pvs {
 }
 
 #[test]
-fn what_the_cell_of_the_camera_does_not_see_is_hidden() {
+fn objects_outside_set_of_camera_cell_are_hidden() {
     let mut app = App::new();
     app.add_plugins((TransformPlugin, SightlinePlugin));
     app.insert_resource(Sightline::new(result()).unwrap());
@@ -74,10 +75,10 @@ fn what_the_cell_of_the_camera_does_not_see_is_hidden() {
     assert_eq!(shown(&all, &mut app, 0.5), [true, true, false, true]);
     assert_eq!(shown(&all, &mut app, 0.9), [true, true, false, true]);
     assert_eq!(shown(&all, &mut app, 1.5), [false, true, true, true]);
-    // Outside the view box nothing is known.
+    // Outside the view box, visibility is unknown.
     assert_eq!(shown(&all, &mut app, 2.5), [true, true, true, true]);
     assert_eq!(shown(&all, &mut app, 1.5), [false, true, true, true]);
-    // What comes later is hidden too.
+    // Entities that are spawned later are hidden, too.
     let late = spawn(&mut app, 0);
     all.push(late);
     app.update();

@@ -6,13 +6,13 @@
     error = sightline.measure(pvs, "level.glb")["mean_error"]
     job = sightline.Client("http://127.0.0.1:7600").submit("level.glb")
 
-Results are read with `Pvs("level.pvs")`. What the program says of its work goes to the logger "sightline".
+`Pvs("level.pvs")` reads a result. The package sends log messages to the logger "sightline".
 """
 
 import os as _os
 import tempfile as _tempfile
 
-# Mesa's Vulkan drivers complain where there is none.
+# Mesa's Vulkan drivers print a warning if the variable is not set.
 _os.environ.setdefault("XDG_RUNTIME_DIR", _tempfile.gettempdir())
 
 from ._client import Client, Job

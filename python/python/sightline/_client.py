@@ -1,4 +1,4 @@
-"""The client of a coordinator: jobs that its workers bake."""
+"""The client of a coordinator, and the jobs of the coordinator."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SUBMISSION = {name: name for name in ("name", "user", "priority", "request_id")
 
 
 def _name(mesh: _mesh.MeshLike) -> str:
-    """The name of a job without one: that of the file."""
+    """Returns the default name of a job: the name of the file, or "mesh"."""
     return os.path.basename(os.fsdecode(mesh)) if isinstance(mesh, (str, os.PathLike)) else "mesh"
 
 
@@ -29,9 +29,9 @@ class Client:
         job = client.submit("level.glb", cells=(16, 4, 16))
         pvs = job.wait(progress=print).fetch()
 
-    Each call connects anew, so that a coordinator may be restarted in between. `connection` are files with
-    credentials: `ca` (the authority of the coordinator's certificate), `cert` and `key` (the client's own), and
-    `token_file`.
+    Each call opens a new connection, so a coordinator may restart between two calls. `connection` contains the paths
+    of files with credentials: `ca` (the authority of the coordinator's certificate), `cert` and `key` (the client's
+    own certificate), and `token_file`.
     """
 
     def __init__(self, url: str = "http://127.0.0.1:7600", **connection: _options.Path) -> None:
@@ -51,12 +51,13 @@ class Client:
         request_id: Optional[str] = None,
         **options: Unpack[_options.JobOptions],
     ) -> Job:
-        """Uploads a mesh and submits a job; the meshes and options are those of `bake`. A job that the coordinator
-        has already, with the same mesh and options, is returned instead (`Job.existing`).
+        """Uploads a mesh and submits a job. Accepts the meshes and options of `bake`. If the coordinator already has
+        a job with the same mesh and options, returns that job (`Job.existing`).
 
-        name: shown beside the job's number. user: who submits, by default the login name.
-        priority: jobs of a higher one get workers first, -1000 to 1000.
-        request_id: makes it safe to submit again after a fault: the same text gives the same job.
+        name: the name of the job. Default: the name of the file.
+        user: the owner of the job for fair shares. Default: the login name.
+        priority: -1000 to 1000; jobs with a higher priority receive workers first. Default: 0.
+        request_id: an identifier that makes a repeated submission safe: the same text gives the same job.
         """
         given: Dict[str, Any] = {"name": name, "user": user, "priority": priority, "request_id": request_id, **options}
         known = (*_options.JobOptions.__annotations__, *_SUBMISSION)
@@ -69,11 +70,11 @@ class Client:
         return Job(self, json.loads(told), existing)
 
     def jobs(self, *, limit: Optional[int] = None, before: Optional[int] = None) -> List[Job]:
-        """The newest jobs, ascending by number: at most `limit` (100), older than the job `before`."""
+        """Returns the newest jobs, ascending by number: at most `limit` (default 100), older than the job `before`."""
         return [Job(self, json.loads(told), True) for told in self._native.jobs(limit, before)]
 
     def job(self, number: int) -> Job:
-        """The job with a number."""
+        """Returns the job with this number."""
         return Job(self, json.loads(self._native.show(number)), True)
 
     def __repr__(self) -> str:
@@ -85,9 +86,9 @@ class Job:
 
     def __init__(self, client: Client, info: Dict[str, Any], existing: bool) -> None:
         self._client = client
-        #: What was last heard of the job: what `sightline show --json` prints. `refresh` asks again.
+        #: The last received state, with the fields of `sightline show --json`. `refresh` updates it.
         self.info = info
-        #: Whether the coordinator had the job before it was submitted.
+        #: True if the job existed before the submission.
         self.existing = existing
 
     @property
@@ -97,20 +98,20 @@ class Job:
 
     @property
     def state(self) -> str:
-        """The state now: queued, running, paused, cancelled, failed or done."""
+        """The current state: queued, running, paused, cancelled, failed or done. Queries the coordinator."""
         return str(self.refresh().info["state"])
 
     def refresh(self) -> Job:
-        """Asks the coordinator for `info`."""
+        """Requests the current `info` from the coordinator."""
         return self._heard(self._client._native.show(self.number))
 
     def wait(self, progress: Optional[_progress.OnProgress] = None) -> Job:
-        """Waits until the job is done. One that fails or is cancelled raises JobError. Ctrl-C, and what `progress`
-        raises, end the waiting and not the job."""
+        """Waits until the job is done. Raises JobError if the job fails or is cancelled. Ctrl-C and exceptions of
+        `progress` end the waiting, but not the job."""
         return self._heard(self._client._native.wait(self.number, _progress.caller(progress)))
 
     def fetch(self, path: Optional[_options.Path] = None) -> Pvs:
-        """The result of a job that is done; with a path it is kept there."""
+        """Downloads the result of a finished job and returns the result. Stores the file at `path`, if given."""
         if path is not None:
             self._client._native.fetch(self.number, os.fspath(path))
             return Pvs(path)
@@ -120,11 +121,11 @@ class Job:
             return _work._read(file)
 
     def cancel(self) -> Job:
-        """Ends the job. Its finished tiles are kept for `retry`."""
+        """Cancels the job. The coordinator keeps its finished tiles for `retry`."""
         return self._act("cancel")
 
     def pause(self) -> Job:
-        """Gives out no more of its tiles. Workers finish those that they have begun."""
+        """Pauses the job. Workers finish the tiles that they have begun."""
         return self._act("pause")
 
     def resume(self) -> Job:
@@ -132,11 +133,11 @@ class Job:
         return self._act("resume")
 
     def retry(self) -> Job:
-        """Continues a failed or cancelled job, or bakes again what a finished job has set aside."""
+        """Continues a failed or cancelled job, or bakes again the tiles that a finished job has set aside."""
         return self._act("retry")
 
     def prioritize(self, priority: int) -> Job:
-        """Gives the job another priority, -1000 to 1000."""
+        """Changes the priority of the job, -1000 to 1000."""
         return self._heard(self._client._native.prioritize(self.number, priority))
 
     def _act(self, action: str) -> Job:

@@ -1,14 +1,14 @@
-"""What can go wrong. Every exception of the package is a SightlineError, except TypeError for arguments of a
-wrong type, IndexError for cells that are not there, and what numpy and the system raise."""
+"""Exceptions. Every exception of the package is a SightlineError, except TypeError for arguments of a wrong type,
+IndexError for unknown cells, and exceptions of numpy and of the system."""
 
 
 class SightlineError(Exception):
-    """Something failed; the message says what, where, and what to do."""
+    """The base class. The message names the element, the reason and the remedy."""
 
 
 class OptionError(SightlineError, ValueError):
-    """An option has a value that it cannot have, or does not go with another one. `option` is its name, where
-    one option is at fault."""
+    """An option has an invalid value, or conflicts with another option. `option` is the name of the option, or None
+    if several options are involved."""
 
     def __init__(self, text: str, option: "str | None" = None) -> None:
         super().__init__(text)
@@ -20,7 +20,7 @@ class InputError(SightlineError, ValueError):
 
 
 class Error(InputError):
-    """A result is refused: it is no whole, unaltered .pvs file."""
+    """A result is not a complete, unmodified .pvs file."""
 
 
 class Refused(SightlineError):
@@ -34,7 +34,7 @@ class Refused(SightlineError):
 
 
 class CoordinatorError(SightlineError):
-    """The coordinator cannot be reached, or refuses."""
+    """The coordinator is unreachable or rejects the call."""
 
 
 class JobError(SightlineError):

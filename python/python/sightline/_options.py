@@ -21,8 +21,8 @@ Path = Union[str, "os.PathLike[str]"]
 
 
 class KindOptions(TypedDict, total=False):
-    """What blocks and what shows, by globs over names of objects and materials. Of several that match a name
-    the last one counts."""
+    """The kinds of triangles, by globs over names of objects and materials. If several globs match a name, the last
+    one counts."""
 
     see_through: Globs
     occluder_only: Globs
@@ -34,7 +34,7 @@ class KindOptions(TypedDict, total=False):
 
 
 class JobOptions(KindOptions, total=False):
-    """What to bake, and how: the options of `sightline bake`, with `_` for `-`."""
+    """The options of a job: the options of `sightline bake`, with `_` instead of `-`."""
 
     method: str
     certificates: bool
@@ -73,27 +73,27 @@ class JobOptions(KindOptions, total=False):
     traces_ca: Path
 
 
-#: Turns a value into one of JSON. The second argument is a folder for files.
+#: A function that converts a value to JSON. Its second argument is a folder for files.
 Convert = Callable[[Any, str], Any]
 
 
 def _whole(value: Any, folder: str) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"it is a whole number, and not {value!r}")
+        raise TypeError(f"{value!r} is not a whole number")
     return int(value)
 
 
 def _number(value: Any, folder: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"it is a number, and not {value!r}")
+        raise TypeError(f"{value!r} is not a number")
     if not np.isfinite(value):
-        raise ValueError(f"it is a finite number, and not {value!r}")
+        raise ValueError(f"{value!r} is not a finite number")
     return float(value)
 
 
 def _word(value: Any, folder: str) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"it is a text, and not {value!r}")
+        raise TypeError(f"{value!r} is not a text")
     return value
 
 
@@ -103,7 +103,7 @@ def _path(value: Any, folder: str) -> str:
 
 def _switch(value: Any, folder: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"it is True or False, and not {value!r}")
+        raise TypeError(f"{value!r} is not True or False")
     return bool(value)
 
 
@@ -122,16 +122,16 @@ def _cells(value: Any, folder: str) -> Union[str, List[int]]:
         return value
     cells = [value] * 3 if isinstance(value, (int, np.integer)) else list(value)
     if len(cells) != 3:
-        raise ValueError(f"it is one number or three, as in (8, 8, 8), and not {value!r}")
+        raise ValueError(f"{value!r} is not one number or three; give, for example, (8, 8, 8)")
     return [_whole(n, folder) for n in cells]
 
 
 def _rows(columns: int) -> Convert:
-    """Rows of numbers, or a single one."""
+    """Returns a converter for rows of numbers, or a single row."""
 
     def rows_of(value: Any, folder: str) -> List[List[float]]:
         rows = np.asarray(value, dtype=np.float64)
-        # A box is also its least and its greatest corner.
+        # A box may be given as its minimum and its maximum corner.
         if columns == 6 and rows.shape == (2, 3):
             rows = rows.reshape(1, 6)
         if rows.ndim == 1:
@@ -139,9 +139,9 @@ def _rows(columns: int) -> Convert:
         if rows.ndim == 3 and columns == 6:
             rows = rows.reshape(len(rows), -1)
         if rows.ndim != 2 or rows.shape[1] != columns or len(rows) == 0:
-            raise ValueError(f"it is {columns} numbers, or rows of them, and not of the shape {np.shape(value)}")
+            raise ValueError(f"give {columns} numbers, or rows of {columns} numbers, not the shape {np.shape(value)}")
         if not np.isfinite(rows).all():
-            raise ValueError("its numbers are finite")
+            raise ValueError("all numbers must be finite")
         return [[float(x) for x in row] for row in rows]
 
     return rows_of
@@ -150,12 +150,12 @@ def _rows(columns: int) -> Convert:
 def _heights(value: Any, folder: str) -> List[float]:
     low, high = _rows(2)(value, folder)[0]
     if low > high:
-        raise ValueError(f"it is the least and the greatest height, and not {value!r}")
+        raise ValueError(f"give the minimum height, then the maximum height, not {value!r}")
     return [low, high]
 
 
 def _viewpoints(value: Any, folder: str) -> str:
-    """A file of viewpoints; an array becomes one."""
+    """Returns the path of a file of viewpoints; writes an array to a file."""
     if isinstance(value, (str, os.PathLike)):
         return _path(value, folder)
     file = os.path.join(folder, "viewpoints.txt")
@@ -196,7 +196,7 @@ _CONVERT: Dict[str, Convert] = {
     "viewpoints_file": _viewpoints,
 }
 
-#: The kinds of triangles by their options.
+#: The name of the kind for each option.
 _KINDS = {
     "see_through": "see-through",
     "occluder_only": "occluder-only",
@@ -204,30 +204,30 @@ _KINDS = {
     "doors": "doors",
     "opaque": "opaque",
 }
-#: The fields of the collector of traces by their options.
+#: The field of the traces document for each option.
 _TRACES = {"traces": "url", "traces_ca": "ca"}
 
 
 @contextmanager
 def folder() -> Iterator[str]:
-    """A folder for files that are not kept."""
+    """Creates a temporary folder, which is removed at the end of the context."""
     path = tempfile.mkdtemp(prefix="sightline-")
     try:
         yield path
     finally:
-        # A bake that was ended may still write to it for a moment.
+        # A stopped bake may still write to the folder for a moment, so ignore errors.
         shutil.rmtree(path, ignore_errors=True)
 
 
 def values(function: str, known: Iterable[str], options: Dict[str, Any], folder: str) -> Dict[str, Any]:
-    """The values of options as JSON has them; None leaves an option out. Files that they need are written to
-    `folder`."""
+    """Converts the values of options to JSON values and skips options with the value None. Writes an
+    array of viewpoints to a file in `folder`."""
     known = set(known)
     out = {}
     for name, value in options.items():
         if name not in known:
             near = difflib.get_close_matches(name, sorted(known), 1)
-            hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(sorted(known))}"
+            hint = f"; did you mean {near[0]}?" if near else f"; the options are {', '.join(sorted(known))}"
             raise TypeError(f"{function} has no option {name}{hint}")
         if value is None:
             continue
@@ -241,13 +241,13 @@ def values(function: str, known: Iterable[str], options: Dict[str, Any], folder:
 
 
 def take(values: Dict[str, Any], names: Dict[str, str]) -> Dict[str, Any]:
-    """Moves options into a document of their own, in which they have other names."""
+    """Removes the options in `names` from `values` and returns them, renamed by `names`."""
     return {names[name]: values.pop(name) for name in list(values) if name in names}
 
 
 def scene(values: Dict[str, Any]) -> Dict[str, Any]:
-    """Moves the options about kinds and sides into the document of a scene. Rules keep the order of the
-    arguments."""
+    """Removes the options of kinds and sides from `values` and returns the document of a scene. The rules have the
+    order of the arguments."""
     kinds = take(values, {name: name for name in (*_KINDS, "alpha_textures", "cull_back_faces")})
     rules = [(_KINDS[name], glob) for name, globs in kinds.items() if name in _KINDS for glob in globs]
     document: Dict[str, Any] = {"rules": rules}
@@ -256,10 +256,10 @@ def scene(values: Dict[str, Any]) -> Dict[str, Any]:
 
 
 def traces(values: Dict[str, Any]) -> Dict[str, Any]:
-    """Moves the options about traces into their document."""
+    """Removes the options of traces from `values` and returns the traces document."""
     return take(values, _TRACES)
 
 
 def document(**parts: Any) -> str:
-    """The JSON text of parts."""
+    """Returns the JSON text of an object with these parts."""
     return json.dumps(parts)

@@ -1,4 +1,4 @@
-"""How far a bake, a job or a measurement is."""
+"""Progress of a bake, a job or a measurement."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Callable, Optional
 
 @dataclass(frozen=True)
 class Progress:
-    """What a `progress` function is called with, several times a second at most."""
+    """The argument of a `progress` function, which is called at most several times per second."""
 
-    #: How many are done.
+    #: The number of finished units.
     done: int
-    #: How many there are; 0 while that is not known.
+    #: The number of all units; 0 while it is unknown.
     total: int
-    #: What is counted: cells, tiles or frames.
+    #: The unit: cells, tiles or frames.
     what: str
     #: The state of the job: queued, running, paused, cancelled, failed or done.
     state: str
-    #: The time left, where it can be told.
+    #: The estimated time left in seconds, or None while it is unknown.
     seconds_left: Optional[float]
 
     @property
     def fraction(self) -> float:
-        """The part that is done, from 0 to 1."""
+        """The finished part, from 0 to 1."""
         return self.done / self.total if self.total else 0.0
 
     def __str__(self) -> str:
@@ -37,9 +37,9 @@ OnProgress = Callable[[Progress], object]
 def caller(
     progress: Optional[OnProgress],
 ) -> Optional[Callable[[int, int, str, str, Optional[float]], object]]:
-    """The function that the native part calls."""
+    """Returns the function that the native part calls, or None."""
     if progress is None:
         return None
     if not callable(progress):
-        raise TypeError(f"progress is a function of a Progress, and not {type(progress).__name__}")
+        raise TypeError(f"progress must be a function of one Progress, not {type(progress).__name__}")
     return lambda *of: progress(Progress(*of))

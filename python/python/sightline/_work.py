@@ -1,4 +1,4 @@
-"""Baking, planning, measuring and checking in this process."""
+"""Functions that bake, plan, measure and verify in this process."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ def bake(
     """Bakes a mesh in this process, as `sightline bake` does, and returns the result.
 
     mesh: a path (.obj, .ply, .gltf, .glb), (vertices, faces), a trimesh.Trimesh or a trimesh.Scene. Triangles are
-      numbered as their faces follow one another; a scene's nodes become the result's objects.
-    output: a file to keep the result in. Certificates can exceed memory, and then need one.
-    data_dir: a folder that keeps unfinished work and results: the same bake goes on from there, or is answered at
-      once. Without it nothing is kept.
-    workers: tiles that are baked at a time; they share all cores. By default as many as cores.
-    progress: a function that is called with a `Progress`. What it raises ends the bake, and so does Ctrl-C.
+      numbered in the order of the faces; a scene's nodes become the result's objects.
+    output: a file for the result. Required if certificates exceed memory.
+    data_dir: a folder for unfinished work and results. A bake of the same mesh with the same options
+      continues from there, or returns the stored result. Default: a temporary folder.
+    workers: the number of tiles that are baked at a time; these tiles share all cores. Default: the number of cores.
+    progress: a function that is called with a `Progress`. Its exceptions end the bake, and so does Ctrl-C.
 
-    options are those of `sightline bake`, among them:
+    The options are the options of `sightline bake`, including:
       cells=(8, 8, 8), or 8, or "walls:64"; cell_size; triangle_budget and max_depth
       view_box=(x0, y0, z0, x1, y1, z1), or several; reachable_from=(x, y, z); viewpoints=array or file; view_mesh=file
       target_error=0.0001; max_error; min_share; time_budget=30 (seconds) or "5m"
       method="aggressive", "exact", "verified" or "portals"; certificates=True
       granularity="triangles", "clusters" or "objects"; contributions=True; far; cell_to_cell="on"
       see_through="glass*", occluder_only, moving, doors, opaque; alpha_textures; cull_back_faces
-      backend="auto", "cpu" or "gpu"; seed=0; sampler
+      backend="auto", "cpu", "gpu" or "embree"; seed=0; sampler
 
-    `sightline bake --help` explains each.
+    `sightline bake --help` explains each option.
 
         pvs = sightline.bake((vertices, faces), cells=(16, 4, 16), max_error=1e-3)
         ids = pvs.visible((1.5, 2.0, -3.0))
@@ -64,10 +64,10 @@ def bake(
 
 def plan(mesh: _mesh.MeshLike, folder: _options.Path, **options: Unpack[_options.JobOptions]) -> Dict[str, Any]:
     """Writes the plan of a bake to a folder, or to a place in a bucket ("s3://BUCKET/PREFIX"), as `sightline plan`
-    does. The meshes and options are those of `bake`, without `time_budget`, `traces` and `traces_ca`.
+    does. Accepts the meshes and options of `bake`, except `time_budget`, `traces` and `traces_ca`.
 
-    Any number of processes compute the tiles with `tile`, and `assemble` joins them. Returns what the command
-    prints with --json: `output`, `tiles` (their number) and `profile`.
+    Any number of processes compute the tiles with `tile`, and `assemble` joins them. Returns the JSON object of the
+    command: `output`, `tiles` (their number) and `profile`.
     """
     with _options.folder() as files:
         known = [name for name in _JOB if name not in ("time_budget", "traces", "traces_ca")]
@@ -80,17 +80,17 @@ def plan(mesh: _mesh.MeshLike, folder: _options.Path, **options: Unpack[_options
 def tile(
     folder: _options.Path, number: int, *, progress: Optional[_progress.OnProgress] = None
 ) -> Dict[str, Any]:
-    """Computes a tile of the plan in a folder or bucket, unless its file is there and whole, as `sightline tile`
-    does. Tiles are numbered from 0; `plan.json` in the folder lists which tiles each one needs.
+    """Computes tile `number` of the plan in a folder or bucket, as `sightline tile` does. Skips a tile whose file
+    exists and is complete. Tiles are numbered from 0; `plan.json` in the folder lists the tiles that each tile needs.
 
-    Returns what the command prints with --json: `tile`, `output`, `computed`, `samples` and `bytes`.
+    Returns the JSON object of the command: `tile`, `output`, `computed`, `samples` and `bytes`.
     """
     return _object(_sightline.tile(os.fspath(folder), number, _progress.caller(progress)))
 
 
 def assemble(folder: _options.Path, output: _options.Path) -> Pvs:
     """Joins the tiles of the plan in a folder or bucket to the result file `output`, as `sightline assemble` does,
-    and returns the result. Its bytes are those of `bake`."""
+    and returns the result. Its bytes equal the result of `bake`."""
     _sightline.assemble(os.fspath(folder), os.fspath(output))
     return Pvs(output)
 
@@ -110,18 +110,19 @@ def measure(
     progress: Optional[_progress.OnProgress] = None,
     **kinds: Unpack[_options.KindOptions],
 ) -> Dict[str, Any]:
-    """Measures how wrong a result looks, as `sightline measure` does: the fraction of wrong pixels, from viewpoints
-    around which the whole mesh is drawn.
+    """Measures the error of a result, as `sightline measure` does: the fraction of wrong pixels in cubes of the
+    whole mesh around viewpoints.
 
-    viewpoints: a number of random ones, or an array of points (with a weight in a fourth column), or a file.
-    path: a file with a camera path instead.
-    pairs: also measures which cells see which, with this many random pairs of points.
+    viewpoints: the number of random viewpoints, an array of points (with optional weights in a fourth column), or
+      a file.
+    path: a file with a camera path, instead of viewpoints.
+    pairs: the number of random pairs of points for measuring the pairs of cells that see each other.
     images: a folder for images of the worst frames.
-    exact: without pixels, by exact sets from the viewpoints; resolution, pairs, images and backend are not used.
-    kinds: what blocks and shows; by default as in the bake.
+    exact: compare with exact sets from the viewpoints, without pixels. Ignores resolution, pairs, images and backend.
+    kinds: the options of kinds. Default: the options of the bake.
 
-    Returns what the command prints: `mean_error`, `p99_error` and `max_error` as fractions of a frame's pixels, or
-    of all directions with exact, `frames`, `worst` and more.
+    Returns the JSON object of the command: `mean_error`, `p99_error` and `max_error` as fractions of a frame's
+    pixels (with exact, of all directions), `frames`, `worst` and more.
     """
     given: Dict[str, Any] = {"seed": seed, "path": path, **kinds}
     if exact:
@@ -153,9 +154,10 @@ def verify(
     """Checks the witnesses and proofs of a result with the independent checker, as `sightline verify` does. The
     result needs certificates (method="exact", certificates=True).
 
-    sample: checks the claims about this many random pairs of cell and triangle instead of all; `seed` draws others.
+    sample: the number of random pairs of cell and triangle to check. Default: all pairs.
+    seed: the seed of the random pairs.
 
-    Returns what the command prints, with `accepted` True. A claim that does not hold raises `Refused`.
+    Returns the JSON object of the command, with `accepted` True. Raises `Refused` if a claim does not hold.
     """
     given: Dict[str, Any] = {"sample": sample, "seed": seed, **kinds}
     values = _options.values("verify", (*_KINDS, "sample", "seed"), given, "")
@@ -177,6 +179,6 @@ def _object(text: str) -> Dict[str, Any]:
 
 
 def _read(path: str) -> Pvs:
-    """A result that does not need its file any more."""
+    """Reads a result into memory, so that its file can be deleted."""
     with open(path, "rb") as file:
         return Pvs(file.read())

@@ -1,11 +1,12 @@
 //! The reader of `.pvs` results for C, and for languages that call C.
 //!
-//! Every function may be called from several threads at a time, but for `sightline_pvs_close` and
-//! `sightline_pvs_free`. Nothing here panics: what a file cannot give comes back as an error.
+//! Several threads may call functions of this library at the same time, also on one result, except
+//! `sightline_pvs_close` and `sightline_pvs_free`. No function panics: the functions return an error for
+//! unreadable or malformed files.
 
 #![allow(
     unsafe_code,
-    reason = "C passes pointers; each function says what they must be"
+    reason = "C passes pointers; each function documents its pointers"
 )]
 
 use std::ffi::{CStr, CString, c_char};
@@ -21,12 +22,12 @@ pub struct SightlinePvs {
     names: Vec<CString>,
 }
 
-/// Text for C. A NUL within it would end it early, and is left out.
-fn text(of: &str) -> CString {
-    CString::new(of.replace('\0', "")).unwrap_or_default()
+/// Converts text for C. Removes NUL characters, which would end the text early.
+fn text(words: &str) -> CString {
+    CString::new(words.replace('\0', "")).unwrap_or_default()
 }
 
-/// Hands out an opened result, or writes why there is none.
+/// Returns an opened result, or writes the reason of the failure to `error` and returns NULL.
 fn opened(pvs: Result<Pvs, sightline_pvs::PvsError>, error: *mut *mut c_char) -> *mut SightlinePvs {
     match pvs {
         Ok(pvs) => {
@@ -45,7 +46,7 @@ fn opened(pvs: Result<Pvs, sightline_pvs::PvsError>, error: *mut *mut c_char) ->
         }
         Err(e) => {
             if !error.is_null() {
-                // SAFETY: the caller gives a place for a pointer, or NULL.
+                // SAFETY: the caller passes the address of a pointer, or NULL.
                 unsafe { *error = text(&e.to_string()).into_raw() };
             }
             ptr::null_mut()
@@ -53,11 +54,12 @@ fn opened(pvs: Result<Pvs, sightline_pvs::PvsError>, error: *mut *mut c_char) ->
     }
 }
 
-/// Opens a result file and checks all of it. NULL if it is refused; `error`, unless it is NULL, then
-/// receives the reason, to be freed with `sightline_pvs_free`.
+/// Opens a result file and checks all of it. Returns NULL if the reader rejects the file, and then writes the
+/// reason to `*error`, unless `error` is NULL. Close the result with `sightline_pvs_close`, and free the
+/// reason with `sightline_pvs_free`.
 ///
 /// # Safety
-/// `path` is a string that ends with NUL, in UTF-8. `error` is NULL or a place for a pointer.
+/// `path` is a UTF-8 string that ends with NUL. `error` is NULL or points to a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_open(
     path: *const c_char,
@@ -70,10 +72,11 @@ pub unsafe extern "C" fn sightline_pvs_open(
     opened(Pvs::open(path), error)
 }
 
-/// Reads a result from memory, which it copies, and checks all of it.
+/// Copies `length` bytes, opens the copy as a result, and checks all of it. Returns NULL and a reason like
+/// `sightline_pvs_open`.
 ///
 /// # Safety
-/// `bytes` points to `length` bytes. `error` is NULL or a place for a pointer.
+/// `bytes` points to `length` bytes. `error` is NULL or points to a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_read(
     bytes: *const u8,
@@ -89,31 +92,31 @@ pub unsafe extern "C" fn sightline_pvs_read(
     opened(Pvs::from_bytes(bytes), error)
 }
 
-/// Closes a result. NULL is ignored.
+/// Closes a result. Ignores NULL.
 ///
 /// # Safety
-/// `pvs` is an opened result that nobody uses any more, or NULL.
+/// `pvs` is an opened result that no thread uses, or NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_close(pvs: *mut SightlinePvs) {
     if !pvs.is_null() {
-        // SAFETY: it came from Box::into_raw, and is closed once.
+        // SAFETY: the pointer came from Box::into_raw, and is closed once.
         drop(unsafe { Box::from_raw(pvs) });
     }
 }
 
-/// Frees an error. NULL is ignored.
+/// Frees the reason that a function of this library wrote to `*error`. Ignores NULL.
 ///
 /// # Safety
-/// `error` came from a function of this library and is freed once, or is NULL.
+/// `error` is the result of a function of this library and is freed once, or is NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_free(error: *mut c_char) {
     if !error.is_null() {
-        // SAFETY: it came from CString::into_raw.
+        // SAFETY: the pointer came from CString::into_raw.
         drop(unsafe { CString::from_raw(error) });
     }
 }
 
-/// Number of triangles of the scene.
+/// Returns the number of triangles of the scene.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -123,7 +126,7 @@ pub unsafe extern "C" fn sightline_pvs_triangles(pvs: *const SightlinePvs) -> u3
     unsafe { &*pvs }.pvs.triangle_count()
 }
 
-/// Number of view cells.
+/// Returns the number of view cells. Cells are numbered from 0.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -133,7 +136,7 @@ pub unsafe extern "C" fn sightline_pvs_cells(pvs: *const SightlinePvs) -> u32 {
     unsafe { &*pvs }.pvs.cells()
 }
 
-/// Number of objects of the scene.
+/// Returns the number of objects of the scene. Objects are numbered from 0.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -143,11 +146,12 @@ pub unsafe extern "C" fn sightline_pvs_objects(pvs: *const SightlinePvs) -> u32 
     unsafe { &*pvs }.pvs.objects().len() as u32
 }
 
-/// The name of an object in UTF-8, and its first triangle and their number where these are not NULL; NULL
-/// if there is no such object. The name lives as long as the result.
+/// Returns the name of an object in UTF-8, or NULL if the object does not exist. Writes the id of the
+/// object's first triangle to `*first` and the number of its triangles to `*count`, unless these pointers are
+/// NULL. The name is valid until the result is closed.
 ///
 /// # Safety
-/// `pvs` is an opened result; `first` and `count` are places for a number, or NULL.
+/// `pvs` is an opened result; `first` and `count` point to a number, or are NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_object(
     pvs: *const SightlinePvs,
@@ -174,7 +178,8 @@ pub unsafe extern "C" fn sightline_pvs_object(
     name.as_ptr()
 }
 
-/// How the sets were made: aggressive, exact, verified or portals. Lives as long as the result.
+/// Returns the method of the bake: aggressive, exact, verified or portals. The text is valid until the result
+/// is closed.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -184,7 +189,7 @@ pub unsafe extern "C" fn sightline_pvs_method(pvs: *const SightlinePvs) -> *cons
     unsafe { &*pvs }.method.as_ptr()
 }
 
-/// The description of the bake as JSON in UTF-8. Lives as long as the result.
+/// Returns the description of the bake as JSON in UTF-8. The text is valid until the result is closed.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -194,7 +199,8 @@ pub unsafe extern "C" fn sightline_pvs_info(pvs: *const SightlinePvs) -> *const 
     unsafe { &*pvs }.info.as_ptr()
 }
 
-/// The cell that holds a point in world space; -1 outside the view box.
+/// Returns the number of the cell that contains a point in world space, or -1 if the point is outside the
+/// view box.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -212,10 +218,11 @@ pub unsafe extern "C" fn sightline_pvs_cell_of(
         .map_or(-1, i64::from)
 }
 
-/// The box of a cell: least x, y, z, then greatest x, y, z. False if there is no such cell.
+/// Writes the box of a cell, in world space, to `out`: minimum x, y, z, then maximum x, y, z. Returns false
+/// if the cell does not exist.
 ///
 /// # Safety
-/// `pvs` is an opened result; `out` has room for six numbers.
+/// `pvs` is an opened result; `out` points to memory for six numbers.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_cell_box(
     pvs: *const SightlinePvs,
@@ -233,8 +240,8 @@ pub unsafe extern "C" fn sightline_pvs_cell_box(
     true
 }
 
-/// The flags of a cell: bit 0, its tile failed, so it draws everything; bit 1, no viewpoint is in it. -1 if
-/// there is no such cell.
+/// Returns the flags of a cell, or -1 if the cell does not exist. Bit 0: the cell's tile failed, so the set
+/// contains all triangles. Bit 1: the cell contains no viewpoint.
 ///
 /// # Safety
 /// `pvs` is an opened result.
@@ -246,19 +253,19 @@ pub unsafe extern "C" fn sightline_pvs_flags(pvs: *const SightlinePvs, cell: u32
 
 /// The triangles to draw from a cell.
 pub const SIGHTLINE_VISIBLE: u32 = 0;
-/// Those of them that were neither seen nor proved hidden.
+/// The triangles to draw that were neither seen nor proved hidden.
 pub const SIGHTLINE_UNDECIDED: u32 = 1;
 /// The objects of the triangles to draw.
 pub const SIGHTLINE_VISIBLE_OBJECTS: u32 = 2;
-/// The objects of undecided triangles of which no triangle is known to be visible.
+/// The objects of undecided triangles without a triangle that is known to be visible.
 pub const SIGHTLINE_UNDECIDED_OBJECTS: u32 = 3;
 
-/// The ascending ids of a set of a cell, one of the numbers above. Writes at most `room` of them to `ids`,
-/// and gives the number of all; -1 if there is no such cell or set, or the set is malformed. Ask with
-/// `room` 0 for the number. The file must not change while it is open.
+/// Writes at most `room` ascending ids of a cell's set to `ids`. `set` is one of the constants above. Returns
+/// the number of all ids, or -1 if the cell or set does not exist or the set is malformed. With `room` 0 the
+/// function only returns the number. The file must not change while it is open.
 ///
 /// # Safety
-/// `pvs` is an opened result; `ids` has room for `room` numbers, or is NULL and `room` is 0.
+/// `pvs` is an opened result; `ids` points to memory for `room` numbers, or is NULL and `room` is 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sightline_pvs_set(
     pvs: *const SightlinePvs,
@@ -275,7 +282,7 @@ pub unsafe extern "C" fn sightline_pvs_set(
         SIGHTLINE_UNDECIDED => Some(pvs.undecided_count(cell)),
         _ => None,
     };
-    // A short file can claim more ids than fit in memory. Counting them needs no list.
+    // A short file can claim more ids than fit in memory, so count them without a list.
     if let Some(count) = count {
         return count.map_or(-1, i64::from);
     }

@@ -1,4 +1,4 @@
-//! The header is that of the functions.
+//! Comparison of the C header with the functions of the library.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

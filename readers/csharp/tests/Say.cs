@@ -1,4 +1,4 @@
-// Says of results what their sets are, as JSON, and of damaged ones whether they are refused:
+// Prints the sets of results as JSON, and for damaged results whether the reader rejects them:
 // Say DAMAGED NAME...  reads NAME.pvs, and damaged-0.pvs to damaged-(DAMAGED-1).pvs.
 
 using System;

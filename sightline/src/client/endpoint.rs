@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use sightline_proto::connecting::{Bearer, Connection, Credentials};
+use sightline_proto::connection::{Bearer, Connection, Credentials};
 
 use crate::error::Error;
 
-/// The environment variable that may hold the token.
+/// The environment variable that may contain the token.
 const TOKEN: &str = "SIGHTLINE_TOKEN";
 
 /// The address of a coordinator, and the credentials with which a client reaches it.
@@ -25,7 +25,7 @@ pub struct Endpoint {
 }
 
 impl std::fmt::Debug for Endpoint {
-    /// Formats the address. Credentials are never shown.
+    /// Formats the address without the credentials.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Endpoint")
             .field("url", &self.url)
@@ -34,8 +34,8 @@ impl std::fmt::Debug for Endpoint {
 }
 
 impl Endpoint {
-    /// Creates the endpoint of an address, which a client reaches without credentials. An address with
-    /// `https://` needs a coordinator with a certificate that the system trusts.
+    /// Creates an endpoint without credentials. If the address starts with `https://`, the coordinator needs
+    /// a certificate that the system trusts.
     pub fn new(url: impl Into<String>) -> Self {
         Self {
             url: url.into(),
@@ -56,16 +56,17 @@ impl Endpoint {
         &self.url
     }
 
-    /// Connects.
+    /// Connects to the coordinator.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for text that is not an address, [`crate::ErrorKind::Coordinator`] if no
+    /// [`crate::ErrorKind::Usage`] if the address is invalid, or [`crate::ErrorKind::Coordinator`] if no
     /// trusted coordinator answers.
     pub async fn connect(&self) -> Result<Connection, Error> {
         let url = &self.url;
         let endpoint = self.credentials.endpoint(url).map_err(|e| {
             Error::usage(format!(
-                "{url} cannot be the coordinator's address: {e}; give one such as http://127.0.0.1:7600"
+                "{url} is not a valid address of a coordinator: {e}; give an address such as \
+                 http://127.0.0.1:7600"
             ))
             .about("coordinator")
         })?;
@@ -73,20 +74,21 @@ impl Endpoint {
             let reason = causes(&e);
             if reason.contains("certificate") {
                 return Error::coordinator(format!(
-                    "{url} is not trusted ({reason}); --ca names the authority that signed the coordinator's \
-                     certificate, and the address must be one that the certificate names"
+                    "{url} is not trusted ({reason}); give --ca the authority that signed the \
+                     coordinator's certificate, and use an address that the certificate contains"
                 ));
             }
             Error::coordinator(format!(
-                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name \
-                 another with --coordinator"
+                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or \
+                 give another address with --coordinator"
             ))
         })?;
         Ok(self.credentials.over(channel))
     }
 }
 
-/// Returns the causes of an error, outermost first, or the error itself where it has no cause.
+/// Returns the texts of the causes of an error, outermost first, or the text of the error itself if it has no
+/// cause.
 fn causes(error: &dyn std::error::Error) -> String {
     let all = std::iter::successors(error.source(), |cause| cause.source());
     let texts: Vec<String> = all.map(ToString::to_string).collect();
@@ -97,7 +99,7 @@ fn causes(error: &dyn std::error::Error) -> String {
     }
 }
 
-/// Files with the credentials of a client.
+/// The files with the credentials of a client.
 ///
 /// ```
 /// use sightline::{CredentialFiles, Endpoint};
@@ -109,15 +111,15 @@ fn causes(error: &dyn std::error::Error) -> String {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CredentialFiles {
-    /// The certificate, as PEM, of the authority that signed the coordinator's. Default: the
-    /// authorities of the system.
+    /// The path of the certificate, as PEM, of the authority that signed the coordinator's certificate.
+    /// Default: the authorities of the system.
     pub ca: Option<PathBuf>,
-    /// The client's own certificate, as PEM. Needs `key`.
+    /// The path of the client's own certificate, as PEM. Needs `key`.
     pub cert: Option<PathBuf>,
-    /// The key of `cert`, as PEM.
+    /// The path of the private key of `cert`, as PEM.
     pub key: Option<PathBuf>,
-    /// The file with the token, as `sightline token new` prints it. Default: the text in the environment
-    /// variable SIGHTLINE_TOKEN, if it is set.
+    /// The path of the file with the token, as `sightline token new` prints it. Default: the text in the
+    /// environment variable SIGHTLINE_TOKEN, if it is set.
     pub token_file: Option<PathBuf>,
 }
 
@@ -125,16 +127,20 @@ impl CredentialFiles {
     /// Reads the files.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for a file that cannot be read, [`crate::ErrorKind::Usage`] for text that
-    /// is not a token, and for a certificate without its key.
+    /// [`crate::ErrorKind::Input`] if a file cannot be read, or [`crate::ErrorKind::Usage`] if the text is
+    /// not a token, or a certificate has no key.
     pub fn read(&self) -> Result<Credentials, Error> {
         let read = |path: &PathBuf| std::fs::read(path).map_err(|e| Error::reading(path, &e));
         let ca = self.ca.as_ref().map(read).transpose()?;
         let identity = match (&self.cert, &self.key) {
             (Some(cert), Some(key)) => Some((read(cert)?, read(key)?)),
             (None, None) => None,
-            (Some(_), None) => return Err(Error::usage("--cert needs --key").about("cert")),
-            (None, Some(_)) => return Err(Error::usage("--key needs --cert").about("key")),
+            (Some(_), None) => {
+                return Err(Error::usage("--cert needs --key; give both").about("cert"));
+            }
+            (None, Some(_)) => {
+                return Err(Error::usage("--key needs --cert; give both").about("key"));
+            }
         };
         let token = match &self.token_file {
             Some(path) => Some((
@@ -147,8 +153,8 @@ impl CredentialFiles {
                 .map(|text| (text, TOKEN.to_owned())),
         };
         let token = token.map(|(text, from)| {
-            Bearer::of(&text).map_err(|e| {
-                Error::usage(format!("{from}: {e}; `sightline token new` prints one"))
+            Bearer::parse(&text).map_err(|e| {
+                Error::usage(format!("{from}: {e}; `sightline token new` prints a token"))
                     .about("token-file")
             })
         });

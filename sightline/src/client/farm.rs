@@ -1,4 +1,4 @@
-//! The farm of a coordinator: its workers, the tiles of jobs, events, and tiles that are computed again.
+//! The farm of a coordinator: its workers, the tiles of jobs, events, and the invalidation of tiles.
 
 use futures::StreamExt as _;
 use sightline_proto::v1;
@@ -8,20 +8,20 @@ use super::Client;
 use crate::error::Error;
 use crate::observer::Observer;
 
-/// Tiles of a request.
+/// Maximum number of tiles in the answer to one request.
 const TILES_AT_ONCE: u32 = 10_000;
 
 /// The connected workers of a coordinator, and its quarantined workers.
 pub type WorkerList = v1::ListWorkersResponse;
 
-/// The tiles that are computed again: of a job, of a worker, of a time.
+/// The filter of the tiles to compute again: by job, worker and time.
 pub type Invalidation = v1::InvalidateRequest;
 
 impl Client {
     /// Lists the connected workers and the quarantined ones.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn workers(&self, observer: &dyn Observer) -> Result<WorkerList, Error> {
         self.run(observer, async |connection| {
             let answer = FarmClient::new(connection)
@@ -31,11 +31,11 @@ impl Client {
         })
     }
 
-    /// Releases a worker from quarantine, by its name or its signature; returns false for a worker that was
-    /// not quarantined.
+    /// Releases a worker from quarantine, by its name or its signature. Returns false if the worker was not
+    /// quarantined.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn release_worker(&self, worker: &str, observer: &dyn Observer) -> Result<bool, Error> {
         let request = v1::ReleaseWorkerRequest {
             worker: worker.to_owned(),
@@ -47,10 +47,11 @@ impl Client {
         })
     }
 
-    /// Reopens finished tiles whose results are no longer trusted; returns their jobs.
+    /// Reopens finished tiles whose outputs you no longer trust, so that workers compute them again. Returns
+    /// the jobs of these tiles, each with the number of reopened tiles.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn invalidate(
         &self,
         tiles: Invalidation,
@@ -62,10 +63,11 @@ impl Client {
         })
     }
 
-    /// Gives `take` the tiles of a job, in several parts in the order of their numbers.
+    /// Passes the tiles of a job to `take`, in several batches in ascending order of the tile numbers.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], and the errors of `take`.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call, or the
+    /// errors of `take`.
     pub fn tiles(
         &self,
         job: u64,
@@ -93,10 +95,11 @@ impl Client {
         })
     }
 
-    /// Gives `take` the events of the coordinator, and new events if the request follows.
+    /// Passes the events of the coordinator to `take`, and also later events if `request.follow` is true.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], and the errors of `take`.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call, or the
+    /// errors of `take`.
     pub fn events(
         &self,
         request: v1::EventsRequest,

@@ -1,9 +1,9 @@
-//! Following a job until it ends, also across restarts of its coordinator.
+//! The following of a job until it ends, also across restarts of its coordinator.
 
 use std::time::Duration;
 
 use futures::StreamExt as _;
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 
@@ -13,10 +13,11 @@ use crate::error::Error;
 use crate::observer::{Observer, note};
 use crate::progress::JobRate;
 
-/// Time between two attempts to reach a coordinator again.
+/// The time between two attempts to reach a coordinator again.
 const RECONNECT: Duration = Duration::from_secs(1);
 
-/// Follows a job while the connection holds; returns its last state if it has ended.
+/// Follows a job while the connection exists, and passes each received state of the job to `show`. Returns
+/// the last state if the job has ended.
 async fn follow_once(
     client: &mut JobsClient<Connection>,
     job: u64,
@@ -30,11 +31,11 @@ async fn follow_once(
             return Ok(Some(job));
         }
     }
-    // The coordinator is stopping, and had time to end the stream.
+    // The coordinator is stopping, and has ended the stream gracefully.
     Ok(None)
 }
 
-/// Follows a job of a coordinator in this process until it ends; returns its last state.
+/// Follows a job of a coordinator in this process until the job ends. Returns the last state of the job.
 pub(crate) async fn follow(
     client: &mut JobsClient<Connection>,
     job: u64,
@@ -43,10 +44,15 @@ pub(crate) async fn follow(
     let mut rate = JobRate::new(true);
     let ended = follow_once(client, job, &mut |job| rate.show(job, observer)).await;
     let ended = ended.map_err(|s| Error::status(&s))?;
-    ended.ok_or_else(|| Error::coordinator("the coordinator ended the stream before the job"))
+    ended.ok_or_else(|| {
+        Error::coordinator(
+            "the coordinator ended the stream before the job ended; run \
+    the same command again",
+        )
+    })
 }
 
-/// Follows a job until it ends, however often the coordinator restarts in between.
+/// Follows a job until it ends, regardless of the number of coordinator restarts in between.
 pub(crate) async fn follow_across_restarts(
     mut client: JobsClient<Connection>,
     endpoint: &Endpoint,
@@ -63,14 +69,16 @@ pub(crate) async fn follow_across_restarts(
         .await;
         match ended {
             Ok(Some(last)) => return Ok(last),
-            // The first attempt reports a coordinator that is absent.
+            // If the coordinator is absent at the first attempt, report the error.
             Err(s) if !is_reached || !is_lost(&s) => return Err(Error::status(&s)),
             Ok(None) | Err(_) => {}
         }
         let url = endpoint.url();
         note(
             observer,
-            format!("the connection to {url} is lost; the job continues there: connecting again"),
+            format!(
+                "the connection to {url} is lost; the job continues on the farm; connecting again"
+            ),
         );
         loop {
             tokio::time::sleep(RECONNECT).await;
@@ -82,7 +90,7 @@ pub(crate) async fn follow_across_restarts(
     }
 }
 
-/// Returns true if an error is one of the connection.
+/// Returns true if the connection caused the error, and false if the coordinator answered with it.
 fn is_lost(s: &tonic::Status) -> bool {
     std::error::Error::source(s).is_some() || s.code() == tonic::Code::Unavailable
 }

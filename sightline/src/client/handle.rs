@@ -1,8 +1,8 @@
-//! A job with its coordinator: waiting for it, changing it, and fetching its result.
+//! A job with its coordinator: waiting for the job, changing it, and downloading its result.
 
 use std::path::Path;
 
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 
@@ -15,11 +15,11 @@ use crate::output::{Format, Output};
 /// A change of a job's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JobAction {
-    /// Ends the job. Its finished tiles are kept for a retry.
+    /// Ends the job. [`JobAction::Retry`] reuses the finished tiles of the job.
     Cancel,
-    /// Grants no more tiles of the job.
+    /// Pauses the job: the coordinator leases no more of its tiles.
     Pause {
-        /// True if the tiles in work stop, too.
+        /// True to stop the running tiles, too.
         now: bool,
     },
     /// Continues a paused job.
@@ -30,7 +30,7 @@ pub enum JobAction {
     Delete,
 }
 
-/// A job with its coordinator.
+/// A job with the client of its coordinator.
 ///
 /// ```no_run
 /// use sightline::{Client, Endpoint, JobAction, Silent};
@@ -64,20 +64,20 @@ impl<'c> JobHandle<'c> {
         self.client
     }
 
-    /// Returns the job as the coordinator last described it.
+    /// Returns the job in its last known state.
     pub fn job(&self) -> &Job {
         &self.job
     }
 
-    /// Returns true if the coordinator had the job before it was submitted.
+    /// Returns true if the coordinator had the job before the submission.
     pub fn is_existing(&self) -> bool {
         self.existing
     }
 
-    /// Queries the job.
+    /// Requests the current state of the job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn refresh(&mut self, observer: &dyn Observer) -> Result<&Job, Error> {
         let job = self.client.job(self.job.id(), observer)?.job;
         Ok(self.update(job))
@@ -88,11 +88,13 @@ impl<'c> JobHandle<'c> {
         &self.job
     }
 
-    /// Waits until the job ends, however often the coordinator restarts in between; returns its last state.
-    /// A cancelling observer ends the waiting and not the job. [`Job::ensure_done`] checks how the job ended.
+    /// Waits until the job ends, regardless of the number of coordinator restarts in between. Returns the
+    /// job's last state. If the observer cancels, the waiting ends, but the job continues.
+    /// [`Job::ensure_done`] checks that the job has a result.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], or [`crate::ErrorKind::Cancelled`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call, or
+    /// [`crate::ErrorKind::Cancelled`] if the observer cancels.
     pub fn wait(&mut self, observer: &dyn Observer) -> Result<&Job, Error> {
         let (client, id) = (self.client, self.job.id());
         let ended = client.run(observer, async |connection| {
@@ -105,7 +107,8 @@ impl<'c> JobHandle<'c> {
     /// Changes the state of the job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], also for a change that the job's state excludes.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached, or the job's state does not
+    /// permit the change.
     pub fn act(&mut self, action: JobAction, observer: &dyn Observer) -> Result<&Job, Error> {
         let job = self.client.act(self.job.id(), action, observer)?;
         Ok(self.update(job))
@@ -114,27 +117,28 @@ impl<'c> JobHandle<'c> {
     /// Changes the priority of the job, -1000 to 1000.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn prioritize(&mut self, priority: i32, observer: &dyn Observer) -> Result<&Job, Error> {
         let job = self.client.prioritize(self.job.id(), priority, observer)?;
         Ok(self.update(job))
     }
 
-    /// Downloads the result of a finished job to a file; returns the number of bytes. The file appears
-    /// complete, and replaces only a file of the same format.
+    /// Downloads the result of a finished job to a file. Returns the size of the file in bytes. The file
+    /// appears only when it is complete, and replaces only a file of the same format.
     ///
     /// # Errors
-    /// As [`Client::fetch`].
+    /// As for [`Client::fetch`].
     pub fn fetch(&self, path: &Path, observer: &dyn Observer) -> Result<u64, Error> {
         self.client.fetch(self.job.id(), path, observer)
     }
 }
 
 impl Client {
-    /// Changes the state of the job with a number; returns the job.
+    /// Changes the state of the job with this number. Returns the job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], also for a change that the job's state excludes.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached, or the job's state does not
+    /// permit the change.
     pub fn act(
         &self,
         number: u64,
@@ -155,10 +159,10 @@ impl Client {
         Ok(changed?.into())
     }
 
-    /// Changes the priority of the job with a number, -1000 to 1000; returns the job.
+    /// Changes the priority of the job with this number, -1000 to 1000. Returns the job.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the call.
     pub fn prioritize(
         &self,
         number: u64,
@@ -173,12 +177,13 @@ impl Client {
         Ok(changed?.into())
     }
 
-    /// Downloads the result of a finished job to a file; returns the number of bytes. The file appears
-    /// complete, and replaces only a file of the same format.
+    /// Downloads the result of a finished job to a file. Returns the size of the file in bytes. The file
+    /// appears only when it is complete, and replaces only a file of the same format.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Job`] for a job without a result, [`crate::ErrorKind::Usage`] for a path that
-    /// cannot be written, [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Job`] if the job has no result, [`crate::ErrorKind::Usage`] if the path cannot be
+    /// written, or [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached or rejects the
+    /// call.
     pub fn fetch(&self, number: u64, path: &Path, observer: &dyn Observer) -> Result<u64, Error> {
         let output = Output::check(path, Format::Pvs, None)?;
         self.download(number, observer, async |client, job| {
@@ -187,11 +192,11 @@ impl Client {
         })
     }
 
-    /// Downloads the finished part of a job to a file; returns the number of bytes. All cells that are not
-    /// done have everything in their sets, as undecided.
+    /// Downloads the partial result of a job to a file. Returns the size of the file in bytes. The sets of
+    /// unfinished cells contain every triangle, as undecided.
     ///
     /// # Errors
-    /// As [`Self::fetch`].
+    /// As for [`Self::fetch`].
     pub fn fetch_partial(
         &self,
         number: u64,
@@ -208,15 +213,17 @@ impl Client {
             warn(
                 observer,
                 format!(
-                    "job {number} has not ended: {done} of {total} tiles are in this result, all other cells \
-                     show everything"
+                    "job {number} has not ended: this result contains {done} of {total} tiles; the sets \
+                     of all other cells contain every triangle"
                 ),
             );
             Ok(bytes)
         })
     }
 
-    /// Runs a download of a job with sets, as the job is now.
+    /// Requests the current state of a job and passes the state to `download`, which returns a size in bytes.
+    ///
+    /// Returns an error for a job that computes ambient occlusion, because its result has no sets.
     fn download(
         &self,
         number: u64,
@@ -229,8 +236,8 @@ impl Client {
             let job = Job::from(job.map_err(|s| Error::status(&s))?.into_inner());
             if job.has_receivers() {
                 return Err(Error::usage(format!(
-                    "job {number} computes ambient occlusion and has no sets; whoever submitted it fetches \
-                     its result"
+                    "job {number} computes ambient occlusion and has no sets; the client that submitted \
+                     the job downloads its result"
                 )));
             }
             download(&mut client, &job).await

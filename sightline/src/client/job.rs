@@ -1,4 +1,4 @@
-//! A job of a coordinator, as the coordinator last described it.
+//! A job of a coordinator in its last known state.
 
 use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
@@ -6,7 +6,7 @@ use sightline_proto::v1;
 
 use crate::error::Error;
 
-/// A job of a coordinator, as the coordinator last described it. Serialised, it is the document that
+/// A job of a coordinator in its last known state. Its serialisation is the document that
 /// `sightline show --json` prints.
 ///
 /// ```no_run
@@ -33,7 +33,7 @@ impl Job {
         self.0.id
     }
 
-    /// Returns the message of the coordinator.
+    /// Returns the coordinator's message about the job.
     pub fn message(&self) -> &v1::Job {
         &self.0
     }
@@ -67,7 +67,7 @@ impl Job {
         matches!(task, Some(v1::job_spec::Task::Ambient(_)))
     }
 
-    /// Returns the noun of the things that the job counts as its cells.
+    /// Returns the noun for the items of the job that its message counts as cells: `receivers` or `cells`.
     pub fn cell_noun(&self) -> &'static str {
         match self.has_receivers() {
             true => "receivers",
@@ -78,8 +78,8 @@ impl Job {
     /// Checks that the job has ended with a result.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Job`] for a job that failed or was cancelled, [`crate::ErrorKind::Coordinator`]
-    /// for a job that has not ended.
+    /// [`crate::ErrorKind::Job`] if the job failed or was cancelled, or [`crate::ErrorKind::Coordinator`] if
+    /// the job has not ended.
     pub fn ensure_done(&self) -> Result<(), Error> {
         let id = self.id();
         match self.0.state() {
@@ -94,7 +94,7 @@ impl Job {
         }
     }
 
-    /// Returns the document that `sightline show --json` prints without the job's specification.
+    /// Returns the document that `sightline show --json` prints, without the job's specification.
     pub fn to_json(&self) -> Value {
         let job = &self.0;
         let hex = |b: &[u8]| b.iter().map(|b| format!("{b:02x}")).collect::<String>();

@@ -9,7 +9,7 @@ mod submit;
 mod transfer;
 
 use sightline_model::JobSpec;
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
@@ -28,7 +28,7 @@ use crate::error::Error;
 use crate::observer::{Observer, cancelled};
 use crate::process::runtime;
 
-/// A client of a coordinator. Every call connects, so that the coordinator may restart in between.
+/// A client of a coordinator. Every call opens a connection, so the coordinator may restart between calls.
 ///
 /// ```no_run
 /// use sightline::{Client, Endpoint, JobOptions, LoadOptions, SceneSource, Silent, Submission};
@@ -48,7 +48,7 @@ pub struct Client {
     runtime: tokio::runtime::Runtime,
 }
 
-/// A selection of jobs.
+/// A filter for jobs.
 ///
 /// ```
 /// use sightline::JobFilter;
@@ -58,32 +58,32 @@ pub struct Client {
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct JobFilter {
-    /// The maximum number of jobs, the newest first. Default: all jobs.
+    /// The maximum number of jobs; the newest ones are selected. Default: all jobs.
     pub limit: Option<u32>,
-    /// Selects jobs with smaller numbers than this one.
+    /// Selects jobs with numbers below this job number. Default: no limit.
     pub before: Option<u64>,
     /// Selects jobs in one of these states, by their names. Empty for all states.
     pub states: Vec<String>,
-    /// Selects jobs whose names contain this text.
+    /// Selects jobs whose names contain this text. Empty for all names.
     pub name: String,
-    /// Selects jobs of this user; empty for all users.
+    /// Selects jobs of this user. Empty for all users.
     pub user: String,
 }
 
-/// Jobs in ascending order of their numbers.
+/// A list of jobs in ascending order of their numbers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JobList {
     /// The jobs.
     pub jobs: Vec<Job>,
-    /// True if the coordinator has older jobs of the selection.
+    /// True if the coordinator has older jobs that the filter selects.
     pub has_older: bool,
 }
 
 impl Client {
-    /// Creates a client. It connects with the first call.
+    /// Creates a client, which connects at the first call.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Internal`] for threads that cannot be started.
+    /// [`crate::ErrorKind::Internal`] if threads cannot be started.
     pub fn new(endpoint: Endpoint) -> Result<Self, Error> {
         Ok(Self {
             endpoint,
@@ -96,7 +96,7 @@ impl Client {
         &self.endpoint
     }
 
-    /// Connects and runs a call, unless the observer cancels.
+    /// Connects to the coordinator and runs a call. Returns an error if the observer cancels first.
     pub(crate) fn run<T>(
         &self,
         observer: &dyn Observer,
@@ -113,7 +113,7 @@ impl Client {
         })
     }
 
-    /// Runs a call of the service of jobs.
+    /// Runs a call of the `Jobs` service.
     fn call<T>(
         &self,
         observer: &dyn Observer,
@@ -125,11 +125,12 @@ impl Client {
         })
     }
 
-    /// Uploads a scene and submits a job. A job of the coordinator with the same key is returned instead
+    /// Uploads a scene and submits a job. If the coordinator has a job with the same key, returns that job
     /// ([`JobHandle::is_existing`]).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], and [`crate::ErrorKind::Input`] for a job that it rejects.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached, or [`crate::ErrorKind::Input`]
+    /// if it rejects the job.
     pub fn submit(
         &self,
         scene: &Scene,
@@ -140,10 +141,10 @@ impl Client {
         self.submit_traced(scene, job, submission, &Traces::default(), observer)
     }
 
-    /// Submits a job as [`Self::submit`], and sends the spans of the submission to a collector.
+    /// Submits a job like [`Self::submit`], and sends the spans of the submission to a collector.
     ///
     /// # Errors
-    /// As [`Self::submit`].
+    /// As for [`Self::submit`].
     pub fn submit_traced(
         &self,
         scene: &Scene,
@@ -161,10 +162,12 @@ impl Client {
         Ok(JobHandle::new(self, job, answer.existing))
     }
 
-    /// Estimates the cost of a job by the finished jobs of the coordinator. Nothing is submitted or uploaded.
+    /// Estimates the cost of a job from the finished jobs of the coordinator, without uploading or
+    /// submitting.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], and [`crate::ErrorKind::Input`] for a job that it rejects.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached, or [`crate::ErrorKind::Input`]
+    /// if it rejects the job.
     pub fn estimate(
         &self,
         scene: &Scene,
@@ -178,10 +181,11 @@ impl Client {
         })
     }
 
-    /// Lists jobs.
+    /// Lists the jobs that a filter selects.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] for an unknown state, [`crate::ErrorKind::Coordinator`].
+    /// [`crate::ErrorKind::Usage`] if a state is unknown, or [`crate::ErrorKind::Coordinator`] if the
+    /// coordinator cannot be reached or rejects the call.
     pub fn jobs(&self, filter: &JobFilter, observer: &dyn Observer) -> Result<JobList, Error> {
         let states = filter.states.iter().map(|name| state_named(name));
         let states: Vec<i32> = states.collect::<Result<_, _>>()?;
@@ -211,10 +215,10 @@ impl Client {
         })
     }
 
-    /// Returns the job with a number.
+    /// Returns the job with this number.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`], also for a number without a job.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator cannot be reached, or the job does not exist.
     pub fn job(&self, number: u64, observer: &dyn Observer) -> Result<JobHandle<'_>, Error> {
         let request = v1::ShowRequest { job: number };
         let job = self.call(observer, async |client| client.show(request).await)?;
@@ -224,7 +228,7 @@ impl Client {
     /// Checks that the coordinator serves.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Coordinator`] if it does not.
+    /// [`crate::ErrorKind::Coordinator`] if the coordinator does not serve.
     pub fn health(&self, observer: &dyn Observer) -> Result<(), Error> {
         use tonic_health::pb::health_check_response::ServingStatus;
         use tonic_health::pb::health_client::HealthClient;
@@ -237,7 +241,7 @@ impl Client {
             match answer.map_err(|s| Error::status(&s))?.into_inner().status() {
                 ServingStatus::Serving => Ok(()),
                 other => Err(Error::coordinator(format!(
-                    "the coordinator is {}",
+                    "the coordinator does not serve: its health is {}",
                     other.as_str_name()
                 ))),
             }
@@ -245,13 +249,13 @@ impl Client {
     }
 }
 
-/// Finds the number of the state with a name.
+/// Returns the number of the job state with this name, such as `queued`, in the protocol.
 fn state_named(name: &str) -> Result<i32, Error> {
     let full = format!("JOB_STATE_{}", name.to_ascii_uppercase());
     let state = v1::JobState::from_str_name(&full).filter(|s| *s != v1::JobState::Unspecified);
     state.map(i32::from).ok_or_else(|| {
         Error::usage(format!(
-            "{name} is not a state; give queued, running, paused, cancelled, failed or done"
+            "{name} is not a job state; give queued, running, paused, cancelled, failed or done"
         ))
         .about("state")
     })

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 use sightline_model::JobSpec;
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
-use sightline_traces::{Begun, Span, TraceId, Traces};
+use sightline_traces::{Span, SpanTime, TraceId, Traces};
 
 use super::transfer::{Blob, upload};
 use crate::error::Error;
@@ -22,14 +22,14 @@ use crate::error::Error;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Submission {
-    /// The name shown next to the job's number, cut to 32 characters.
+    /// The display name of the job, cut to 32 characters.
     pub name: String,
-    /// The user who submits, cut to 32 characters. Jobs of the same priority share the workers evenly between
+    /// The submitting user, cut to 32 characters. Jobs of the same priority share the workers evenly between
     /// users. Default: the login name.
     pub user: Option<String>,
-    /// The priority, -1000 to 1000. Jobs of a higher priority get workers first.
+    /// The priority, -1000 to 1000. Jobs of a higher priority get workers first. Default: 0.
     pub priority: i32,
-    /// The text that makes a submission safe to repeat: the same text gives the same job. Default: new text
+    /// A text that makes the submission safe to repeat: the same text gives the same job. Default: a new text
     /// for each submission.
     pub request_id: Option<String>,
 }
@@ -47,8 +47,8 @@ impl Submission {
     }
 }
 
-/// Creates a request id. The id makes one submission safe to repeat; the coordinator recognises the same job
-/// of another submission by the job's key.
+/// Creates a request id. The id makes one submission safe to repeat. If another submission has the same job,
+/// the coordinator recognises the job by its key.
 fn fresh_request_id() -> String {
     let now = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
@@ -56,12 +56,13 @@ fn fresh_request_id() -> String {
     format!("cli-{}-{now:x}", std::process::id())
 }
 
-/// Returns a name as the coordinator accepts it.
+/// Returns a name in the form that the coordinator accepts: at most 32 characters, without control
+/// characters.
 fn short(name: &str) -> String {
     name.chars().filter(|c| !c.is_control()).take(32).collect()
 }
 
-/// Returns the name of the user who runs this program; empty if the system does not report it.
+/// Returns the name of the user who runs this program, or an empty name if the system does not report it.
 fn login_name() -> String {
     let variable = |name| std::env::var(name).ok().filter(|user| !user.is_empty());
     let name = variable("USER")
@@ -70,8 +71,8 @@ fn login_name() -> String {
     name.or_else(user_of_process).unwrap_or_default()
 }
 
-/// Returns the user of this process by the system's list of users, where the environment does not have it, as
-/// in containers and services.
+/// Returns the user of this process from the system's list of users. Containers and services often lack the
+/// user in the environment.
 #[cfg(target_os = "linux")]
 fn user_of_process() -> Option<String> {
     use std::os::unix::fs::MetadataExt as _;
@@ -97,31 +98,31 @@ pub(crate) async fn submit(
     request: v1::SubmitRequest,
     traces: &Traces,
 ) -> Result<v1::SubmitResponse, Error> {
-    let begun = Begun::now();
+    let begun = SpanTime::now();
     upload(client, scene).await?;
-    let uploaded = Begun::now();
+    let uploaded = SpanTime::now();
     let answer = client.submit(request).await;
     let answer = answer.map_err(|s| Error::status(&s))?.into_inner();
     send_spans(traces, &answer, begun, uploaded);
     Ok(answer)
 }
 
-/// Sends the spans of a submission: the work of the client before the job existed, and until the answer. A
-/// job that existed before the submission has none of them.
+/// Sends the spans of a submission: the work of the client before the job existed, and the time until the
+/// answer. A job that existed before the submission has no such spans.
 pub(crate) fn send_spans(
     traces: &Traces,
     answer: &v1::SubmitResponse,
-    begun: Begun,
-    uploaded: Begun,
+    begun: SpanTime,
+    uploaded: SpanTime,
 ) {
     let job = answer.job.as_ref().filter(|_| !answer.existing);
-    // A coordinator that sends no traces names none.
+    // A coordinator that does not send traces does not return a trace id.
     let Some((job, trace)) = job.and_then(|job| Some((job.id, TraceId::of_bytes(&job.trace)?)))
     else {
         return;
     };
     let submit = traces.fresh_id();
-    let span = |name| Span::of(trace, name, begun).number("sightline.job", job);
+    let span = |name| Span::new(trace, name, begun).number("sightline.job", job);
     traces.send(span("upload").below(submit).end_at(uploaded));
     traces.send(span("submit").known_as(submit).below(trace.job()).end());
 }

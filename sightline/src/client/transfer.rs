@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{CHUNK_BYTES, Sequence};
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
@@ -35,12 +35,12 @@ pub(crate) async fn upload(
         .map_err(|s| Error::status(&s))
 }
 
-/// Bytes that are uploaded in chunks.
+/// The bytes of an upload in chunks.
 pub(crate) struct Blob {
     bytes: Arc<Vec<u8>>,
-    /// BLAKE3 digest of the whole.
+    /// The BLAKE3 digest of all bytes.
     pub(crate) digest: Vec<u8>,
-    /// BLAKE3 digests of its chunks, in order.
+    /// The BLAKE3 digests of the chunks, in order.
     pub(crate) chunks: Vec<Vec<u8>>,
 }
 
@@ -59,14 +59,14 @@ impl Blob {
         }
     }
 
-    /// Returns the bytes of the chunk with an index.
+    /// Returns the bytes of the chunk with this index.
     fn chunk(&self, index: usize) -> &[u8] {
         let start = index * CHUNK_BYTES;
         &self.bytes[start..self.bytes.len().min(start + CHUNK_BYTES)]
     }
 
-    /// Returns the number of bytes that an upload would send. A stored whole is no longer stored in chunks,
-    /// so the request names the whole as well.
+    /// Returns the number of bytes that an upload would send. A completely stored blob is no longer stored in
+    /// chunks, so the request includes the digest of the whole.
     pub(crate) async fn upload_bytes(
         &self,
         client: &mut JobsClient<Connection>,
@@ -87,12 +87,13 @@ impl Blob {
         client: &mut JobsClient<Connection>,
         put: impl AsyncFn() -> Result<(), tonic::Status>,
     ) -> Result<(), tonic::Status> {
-        // A whole that the coordinator has needs only its digest.
+        // If the coordinator has the whole blob, only its digest is needed.
         match put().await {
             Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
             done => return done,
         }
-        // Another client that sends the same bytes at the same time may take the chunks away once.
+        // Another client that uploads the same bytes at the same time may cause the removal of the chunks
+        // once, so try twice.
         for is_last in [false, true] {
             let request = v1::MissingChunksRequest {
                 digests: self.chunks.clone(),
@@ -102,7 +103,7 @@ impl Blob {
             let needed: Vec<usize> = (0..self.chunks.len())
                 .filter(|i| missing.contains(&self.chunks[*i]))
                 .collect();
-            // Each chunk is copied when it is sent.
+            // Each chunk is copied only when it is sent.
             let whole = Self {
                 bytes: Arc::clone(&self.bytes),
                 digest: Vec::new(),
@@ -128,7 +129,7 @@ impl Blob {
     }
 }
 
-/// Downloads the finished part of a job to `output`; returns the number of bytes.
+/// Downloads the partial result of a job to `output`. Returns the size of the file in bytes.
 pub(crate) async fn fetch_partial(
     client: &mut JobsClient<Connection>,
     job: &Job,
@@ -149,14 +150,14 @@ pub(crate) async fn fetch_partial(
     Ok(bytes)
 }
 
-/// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's
-/// digest; returns the number of bytes.
+/// Downloads a result to `output`. Returns the size of the file in bytes. The function replaces an existing
+/// file only after it received all bytes, and their digest is the digest in the job.
 pub(crate) async fn fetch(
     client: &mut JobsClient<Connection>,
     job: &Job,
     output: &Output,
 ) -> Result<u64, Error> {
-    // Written as it arrives: a result with certificates may exceed memory.
+    // Bytes are written as they arrive, because a result with certificates may exceed the memory.
     let mut part = output.begin()?;
     let write = |data: &[u8]| {
         part.write_all(data)
@@ -167,8 +168,8 @@ pub(crate) async fn fetch(
     Ok(bytes)
 }
 
-/// Downloads a result; `take` receives its bytes in order. The received bytes are the result if this function
-/// succeeds.
+/// Downloads a result and passes its bytes to `take` in order. Returns the number of bytes. The passed bytes
+/// are the result only if this function succeeds.
 pub(crate) async fn fetch_to(
     client: &mut JobsClient<Connection>,
     job: &Job,
@@ -187,7 +188,8 @@ pub(crate) async fn fetch_to(
     let bytes = sequence.end().map_err(Error::internal)?;
     if hasher.finalize().as_bytes().as_slice() != job.message().result {
         return Err(Error::internal(
-            "the result that arrived is not the job's; fetch it again",
+            "the digest of the received bytes differs from the digest of the job's result; fetch the \
+             result again",
         ));
     }
     Ok(bytes)

@@ -17,13 +17,13 @@ use crate::error::Error;
 use crate::observer::{Observer, cancelled, note};
 use crate::process::runtime;
 
-/// Computes the ambient occlusion of receivers in this process. Finished tiles are kept in the data
+/// Computes the ambient occlusion of receivers in this process. Finished tiles are stored in the data
 /// directory, so that the same call continues after an interruption. The call does not use `output` and
 /// `traces` of `local`. [`OrderedReceivers`] has an example.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for a data directory that cannot be used, [`crate::ErrorKind::Job`] for a job
-/// that fails, or [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Input`] if the data directory cannot be used, [`crate::ErrorKind::Job`] if the job
+/// fails, or [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn ambient(
     scene: &Arc<Scene>,
     receivers: &OrderedReceivers,
@@ -32,7 +32,7 @@ pub fn ambient(
 ) -> Result<AmbientResult, Error> {
     local.check()?;
     let loaded = Arc::new(TracedScene::new(Arc::clone(scene))?);
-    // The job uses no tracer. Embree is found at once, or not at all.
+    // The job does not use a tracer. The search for the cpu backend ends immediately.
     let backends = Arc::new(Backends::probe(TracerSelection::Cpu, Default::default()));
     let (coordinator, data_dir) = open_at(local.data_dir.as_deref(), observer)?;
     let runtime = runtime()?;
@@ -56,7 +56,7 @@ pub fn ambient(
             if done > 0 {
                 note(
                     observer,
-                    format!("going on: {done} of {total} tiles are done"),
+                    format!("continuing: {done} of {total} tiles are done"),
                 );
             }
             let scenes = Arc::new(SceneCache::holding(scene.digest().0, Arc::clone(&loaded)));

@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use sightline_coordinator::Coordinator;
 use sightline_model::JobSpec;
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
-use sightline_traces::{Begun, Traces};
+use sightline_traces::{SpanTime, Traces};
 use sightline_worker::{Backends, SceneCache, TracedScene, TracerSelection};
 use tonic::{Response, Status};
 
@@ -32,13 +32,13 @@ use crate::tracers::{TracerOption, note_missing};
 pub struct Baked {
     /// The job in its last state.
     pub job: Job,
-    /// True if the data directory had the result, so that nothing was computed.
+    /// True if the data directory already contained the result, so that this call computed no tile.
     pub from_store: bool,
     /// The result.
     pub pvs: Pvs,
 }
 
-/// Bakes a scene in this process. Finished tiles are kept in the data directory, so that the same call
+/// Bakes a scene in this process. Finished tiles are stored in the data directory, so that the same call
 /// continues after an interruption.
 ///
 /// ```no_run
@@ -54,9 +54,9 @@ pub struct Baked {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for a data directory that cannot be used, [`crate::ErrorKind::Usage`] for an
-/// output file that cannot be written, [`crate::ErrorKind::Job`] for a job that fails, or
-/// [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Input`] if the data directory cannot be used, [`crate::ErrorKind::Usage`] if the
+/// output file cannot be written, [`crate::ErrorKind::Job`] if the job fails, or
+/// [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn bake(
     scene: &Arc<Scene>,
     job: &JobSpec,
@@ -67,10 +67,10 @@ pub fn bake(
     bake_after(search, scene, job, local, observer)
 }
 
-/// Bakes a scene as [`bake`], with the tracers of a search that has begun before.
+/// Bakes a scene like [`bake`], with the tracers of a search that was started before.
 ///
 /// # Errors
-/// As [`bake`].
+/// As for [`bake`].
 pub fn bake_after(
     search: TracerSearch,
     scene: &Arc<Scene>,
@@ -87,7 +87,7 @@ pub fn bake_after(
     let search = search.then_warm(&loaded, job);
     partition(&loaded, job, observer)?;
     let traces = local.traces.start("sightline-bake", &default_name()?)?;
-    let _sends_the_rest = traces.closing();
+    let _flush_guard = traces.flush_guard();
     let (coordinator, data_dir) = open_at(local.data_dir.as_deref(), observer)?;
     coordinator.send_traces(traces.clone());
     let runtime = runtime()?;
@@ -101,7 +101,7 @@ pub fn bake_after(
         observer,
     };
     let outcome = runtime.block_on(bake.run(search, output.as_ref()));
-    // Running tiles are abandoned; waiting for them could take minutes.
+    // Running tiles are abandoned, because waiting for them could take minutes.
     runtime.shutdown_timeout(Duration::from_millis(200));
     close(kept);
     let (job, from_store, bytes) =
@@ -117,7 +117,7 @@ pub fn bake_after(
     })
 }
 
-/// Returns the job of an answer.
+/// Returns the job in an answer of the coordinator.
 fn job_of(answer: Result<Response<v1::Job>, Status>) -> Result<Job, Error> {
     let answer = answer.map_err(|s| Error::status(&s))?;
     Ok(answer.into_inner().into())
@@ -138,28 +138,28 @@ impl LocalBake<'_> {
         note(self.observer, text);
     }
 
-    /// Submits the job, computes it unless the store has its result, and fetches the result: into the output
-    /// file, or as bytes if there is none.
+    /// Submits the job, computes it unless the store has its result, and downloads the result. The result
+    /// goes to the output file, or is returned as bytes if there is none.
     async fn run(
         self,
         search: TracerSearch,
         output: Option<&Output>,
     ) -> Result<(Job, bool, Vec<u8>), Error> {
         let (url, server, mut client) = serve(&self.coordinator).await?;
-        let begun = Begun::now();
+        let begun = SpanTime::now();
         let (taker, here) = (Arc::clone(&self.coordinator), Arc::clone(&self.loaded));
         tokio::task::spawn_blocking(move || taker.take_scene(here.scene.scene()))
             .await
             .map_err(Error::internal)?
-            .map_err(|e| Error::input(format!("{e} (--data-dir names another place)")))?;
-        let uploaded = Begun::now();
+            .map_err(|e| Error::input(format!("{e}; --data-dir selects another directory")))?;
+        let uploaded = SpanTime::now();
         let mut answer = self.submit(&mut client).await?;
         send_spans(&self.traces, &answer, begun, uploaded);
         let mut job = Job::from(answer.job.take().unwrap_or_default());
         if job.is_done() && job.message().tiles_set_aside > 0 {
             let aside = job.message().tiles_set_aside;
             self.note(format!(
-                "an earlier run set {aside} tiles aside: trying them again"
+                "an earlier run set {aside} tiles aside; this run computes these tiles again"
             ));
             let request = v1::ShowRequest { job: job.id() };
             job = job_of(client.retry(request).await)?;
@@ -169,8 +169,8 @@ impl LocalBake<'_> {
             let found = self.tracers(search, &job).await?;
             if self.has_lost_profile(&found, &job) {
                 self.note(format!(
-                    "an earlier run began this bake on {}, which is gone or has another version now; the \
-                     bake starts over",
+                    "an earlier run began this bake with the numerics profile {}, which this machine does \
+                     not have now; the bake starts again from the first tile",
                     job.message().profile
                 ));
                 job_of(client.cancel(v1::ShowRequest { job: job.id() }).await)?;
@@ -189,18 +189,19 @@ impl LocalBake<'_> {
             if answer.existing {
                 let message = job.message();
                 self.note(format!(
-                    "going on: {} of {} tiles are done",
+                    "continuing: {} of {} tiles are done",
                     message.tiles_done, message.tiles_total
                 ));
             }
             job = self.compute(&mut client, &url, &backends, &job).await?;
         } else {
             self.note(match self.spec.time_budget() {
-                None => "this bake is in the store already",
-                // The time runs on while a bake is interrupted, so the result may come from far less work.
+                None => "the result of this bake is in the store already",
+                // The time budget continues to run while a bake is interrupted, so the result may come from
+                // far less work.
                 Some(_) => {
-                    "this bake is in the store already, with the result of its time budget; another \
-                     --time-budget or --data-dir starts a new bake"
+                    "the result of this bake is in the store already, with the quality that its time \
+                     budget allowed; another --time-budget or --data-dir starts a new bake"
                 }
             });
         }
@@ -233,10 +234,10 @@ impl LocalBake<'_> {
         Ok(answer.map_err(|s| Error::status(&s))?.into_inner())
     }
 
-    /// Returns the tracers of this machine for a job.
+    /// Waits for the search, and returns the tracers of this machine for a job.
     async fn tracers(&self, search: TracerSearch, job: &Job) -> Result<Arc<Backends>, Error> {
         let mut found = search.end().await?;
-        // An earlier run may have begun the job on a software rasteriser, before Embree was installed.
+        // An earlier run may have bound the job to a software rasteriser.
         if found.skipped_software() && job.message().profile.starts_with("gpu/") {
             found = TracerSearch::begin_for(TracerSelection::Auto).end().await?;
         }
@@ -252,7 +253,7 @@ impl LocalBake<'_> {
         self.spec.tracer().is_some() && !profile.is_empty() && !found.profiles().contains(profile)
     }
 
-    /// Computes the tiles of a job.
+    /// Computes the tiles of a job with workers in this process. Returns the job in its last state.
     async fn compute(
         &self,
         client: &mut JobsClient<Connection>,
@@ -260,7 +261,7 @@ impl LocalBake<'_> {
         backends: &Arc<Backends>,
         job: &Job,
     ) -> Result<Job, Error> {
-        // The scene is in this process already.
+        // The scene is already in the memory of this process.
         let scenes = Arc::new(SceneCache::holding(
             self.spec.scene,
             Arc::clone(&self.loaded),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use sightline_coordinator::{
     Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError,
 };
-use sightline_proto::connecting::Connection;
+use sightline_proto::connection::Connection;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_store::StoreError;
 use tokio::task::AbortHandle;
@@ -16,12 +16,13 @@ use crate::client::Endpoint;
 use crate::error::Error;
 use crate::observer::{Observer, note};
 
-/// Maximum number of jobs of one user at a time that find a separate data directory.
+/// Maximum number of simultaneous bakes of one user that receive a separate data directory.
 const MOST_AT_ONCE: u32 = 16;
-/// Time that the coordinator has to end its work in the background.
+/// Maximum time that [`close`] waits for the coordinator's background work.
 const TO_CLOSE: Duration = Duration::from_secs(2);
 
-/// Opens a data directory, or the usual one.
+/// Opens the coordinator of the given data directory, or of the default one. Returns the coordinator and its
+/// directory.
 pub(super) fn open_at(
     data_dir: Option<&Path>,
     observer: &dyn Observer,
@@ -36,18 +37,18 @@ pub(super) fn open_at(
 fn open(data_dir: &Path) -> Result<Arc<Coordinator>, Error> {
     Coordinator::open(Config::new(data_dir.to_owned())).map_err(|e| match e {
         OpenError::Store(StoreError::InUse { pid, .. }) => Error::input(format!(
-            "{} is in use by process {pid}, probably another bake; wait for it, or give this one another \
-             --data-dir",
+            "{} is in use by process {pid}, probably another bake; wait for that process, or give this \
+             bake another --data-dir",
             data_dir.display()
         ))
         .about("data-dir"),
-        OpenError::Store(e) => Error::input(format!("{e} (--data-dir names another)")),
+        OpenError::Store(e) => Error::input(format!("{e}; --data-dir selects another directory")),
         OpenError::Blobs(e) => Error::input(e.to_string()),
     })
 }
 
-/// Opens the usual data directory, or, while other bakes use it, another one next to it. Each directory knows
-/// only its own results.
+/// Opens the default data directory `usual`, or a numbered directory next to it if other processes use it.
+/// Bakes in different directories do not share results.
 fn open_free(usual: &Path, observer: &dyn Observer) -> Result<(Arc<Coordinator>, PathBuf), Error> {
     for number in 1..=MOST_AT_ONCE {
         let dir = match number {
@@ -58,7 +59,7 @@ fn open_free(usual: &Path, observer: &dyn Observer) -> Result<(Arc<Coordinator>,
             Err(OpenError::Store(StoreError::InUse { pid, .. })) => note(
                 observer,
                 format!(
-                    "note: {} is in use by process {pid}; this bake uses another one",
+                    "note: {} is in use by process {pid}; this bake uses another data directory",
                     dir.display()
                 ),
             ),
@@ -69,8 +70,8 @@ fn open_free(usual: &Path, observer: &dyn Observer) -> Result<(Arc<Coordinator>,
     open(usual).map(|coordinator| (coordinator, usual.to_owned()))
 }
 
-/// Closes the coordinator's store, so that this process can open it again. Threads that still hold it after
-/// the time keep it open.
+/// Closes the coordinator's store, so that this process can open it again. If other threads still use the
+/// coordinator after the time limit, the store stays open.
 pub(super) fn close(mut coordinator: Arc<Coordinator>) {
     let begin = Instant::now();
     while begin.elapsed() < TO_CLOSE {
@@ -82,8 +83,8 @@ pub(super) fn close(mut coordinator: Arc<Coordinator>) {
     }
 }
 
-/// Serves a coordinator on a free port of loopback; returns its address, the handle that ends the service,
-/// and a client.
+/// Serves a coordinator on a free port of loopback. Returns the address of the service, the handle that ends
+/// the service, and a client.
 pub(super) async fn serve(
     coordinator: &Arc<Coordinator>,
 ) -> Result<(String, AbortHandle, JobsClient<Connection>), Error> {
@@ -102,10 +103,10 @@ pub(super) async fn serve(
     Ok((url, server.abort_handle(), client))
 }
 
-/// Returns the text of an interrupted job, whose tiles are in a data directory.
+/// Returns the text for an interrupted job, whose tiles are in a data directory.
 pub(super) fn interrupted(data_dir: &Path) -> String {
     format!(
-        "interrupted; finished tiles are kept in {}: the same command goes on from there",
+        "interrupted; finished tiles are stored in {}: the same command continues from there",
         data_dir.display()
     )
 }
@@ -120,7 +121,7 @@ fn default_data_dir() -> Result<PathBuf, Error> {
         .or_else(|| from("HOME").map(|h| h.join(".cache")))
         .map(|d| d.join("sightline"))
         .ok_or_else(|| {
-            Error::usage("neither XDG_CACHE_HOME nor HOME is set; name a --data-dir")
+            Error::usage("neither XDG_CACHE_HOME nor HOME is set; give a directory with --data-dir")
                 .about("data-dir")
         })
 }

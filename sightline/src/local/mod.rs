@@ -1,5 +1,5 @@
-//! Jobs in this process: a coordinator on loopback, its data directory, and workers. They speak the same gRPC
-//! as in a cluster, except that the scene is shared in memory.
+//! Jobs in this process: a coordinator on loopback, its data directory, and workers. They communicate over
+//! gRPC like in a cluster, except that they share the scene in memory.
 
 mod ambient;
 mod bake;
@@ -29,29 +29,30 @@ use crate::traces::TraceOptions;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Local {
-    /// The name of the job, for the log of events.
+    /// The name of the job, for the event log.
     pub name: String,
     /// The folder for unfinished work and finished results. With it, an interrupted job continues, and a
-    /// finished one is answered at once. Default: `$XDG_CACHE_HOME/sightline` or `~/.cache/sightline`.
+    /// finished job returns its result immediately. Default: `$XDG_CACHE_HOME/sightline` or
+    /// `~/.cache/sightline`.
     pub data_dir: Option<PathBuf>,
-    /// The number of tiles that are computed at a time, 1 to 256. They share all cores. Default: one per
-    /// core.
+    /// The number of workers, 1 to 256. Each worker computes one tile at a time, and all workers share all
+    /// cores. Default: one per core.
     pub workers: Option<u16>,
-    /// The result file to write. Default: none, the result stays in memory.
+    /// The path of the result file. Default: no file, and the result stays in memory.
     pub output: Option<PathBuf>,
     /// The collector of traces.
     pub traces: TraceOptions,
 }
 
-/// The maximum number of workers in a process.
+/// Maximum number of workers in a process.
 const MOST_WORKERS: u16 = 256;
 
 impl Local {
-    /// Checks the number of workers.
+    /// Checks that the number of workers is in its range.
     fn check(&self) -> Result<(), Error> {
         match self.workers {
             Some(workers) if !(1..=MOST_WORKERS).contains(&workers) => Err(Error::usage(format!(
-                "--workers {workers} is not between 1 and {MOST_WORKERS}"
+                "--workers {workers} is out of range; give a number from 1 to {MOST_WORKERS}"
             ))
             .about("workers")),
             Some(_) | None => Ok(()),

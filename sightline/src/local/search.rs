@@ -1,4 +1,5 @@
-//! The search for tracers, in the background: starting drivers may take longer than reading most scenes.
+//! The search for tracers in the background, because starting drivers may take longer than reading most
+//! scenes.
 
 use std::sync::Arc;
 
@@ -30,7 +31,7 @@ impl std::fmt::Debug for TracerSearch {
 }
 
 impl TracerSearch {
-    /// Begins the search for the tracer of a job. A job without a tracer runs with any, or with none.
+    /// Starts the search for the tracer of a job. A job without a tracer accepts any tracer, or none.
     pub fn begin(tracer: TracerOption) -> Self {
         Self::begin_for(match selection(tracer.0.unwrap_or(TracerChoice::Auto)) {
             TracerSelection::Auto => TracerSelection::Fast,
@@ -38,21 +39,25 @@ impl TracerSearch {
         })
     }
 
-    /// Begins the search for a selection of tracers.
+    /// Starts the search for a selection of tracers.
     pub(super) fn begin_for(selection: TracerSelection) -> Self {
         Self(Some(std::thread::spawn(move || {
             Arc::new(Backends::probe(selection, Default::default()))
         })))
     }
 
-    /// Prepares the tracing of sight lines after the search, while the scene is stored and the job planned.
+    /// Prepares the tracing of sight lines after the search, while the scene is stored and the job is
+    /// planned.
     pub(super) fn then_warm(mut self, loaded: &Arc<TracedScene>, job: &JobSpec) -> Self {
         let sampling = job.visibility().and_then(Visibility::sampling);
         if let Some(sampling) = sampling
             && !matches!(sampling.sampler, Sampler::Cubes { .. })
             && let Some(search) = self.0.take()
         {
-            let (loaded, cubes) = (Arc::clone(loaded), CubeSpec::of(&sampling.sampler));
+            let (loaded, cubes) = (
+                Arc::clone(loaded),
+                CubeSpec::from_sampler(&sampling.sampler),
+            );
             self.0 = Some(std::thread::spawn(move || {
                 let backends = search
                     .join()
@@ -66,7 +71,7 @@ impl TracerSearch {
 
     /// Waits for the end of the search.
     pub(super) async fn end(mut self) -> Result<Arc<Backends>, Error> {
-        let panicked = || Error::internal("looking for backends panicked");
+        let panicked = || Error::internal("the search for backends panicked; report this fault");
         let thread = self.0.take().ok_or_else(panicked)?;
         let joined = tokio::task::spawn_blocking(move || thread.join()).await;
         joined.map_err(Error::internal)?.map_err(|_| panicked())

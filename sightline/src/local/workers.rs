@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use sightline_proto::connecting::Credentials;
+use sightline_proto::connection::Credentials;
 use sightline_traces::Traces;
 use sightline_worker::{Backends, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
@@ -13,7 +13,7 @@ use super::Local;
 use crate::error::Error;
 use crate::process::threads;
 
-/// Time that stopped workers have to answer.
+/// Maximum time that the process waits for stopped workers.
 const TO_STOP: Duration = Duration::from_secs(2);
 
 /// The workers of this process.
@@ -41,7 +41,7 @@ impl Workers {
                 backends: Arc::clone(backends),
                 scenes: Arc::clone(scenes),
                 receivers: Arc::default(),
-                // They share the threads of this process.
+                // The workers share the threads of this process, so they do not help each other.
                 helps: false,
                 direct: false,
                 give_up_after: Some(Duration::from_secs(30)),
@@ -53,7 +53,7 @@ impl Workers {
         Self { stop, running }
     }
 
-    /// Resolves only when a worker ends with an error.
+    /// Waits until a worker ends with an error, and returns the error. Never returns if no worker fails.
     pub(super) async fn failure(&mut self) -> Error {
         while let Some(ended) = self.running.join_next().await {
             match ended {

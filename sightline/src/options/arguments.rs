@@ -1,9 +1,9 @@
-//! Named values as arguments of a command line, with the names and help lines of [`NamedValue`].
+//! Parsers of named values in command lines, with the names and help lines of [`NamedValue`].
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use sightline_model::NamedValue;
 
-/// Returns the parser of the names of a value.
+/// Returns a clap parser that accepts the names of all values of `V`.
 pub fn named<V: NamedValue>() -> impl TypedValueParser<Value = V> {
     let values = V::ALL
         .iter()

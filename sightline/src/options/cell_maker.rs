@@ -1,4 +1,4 @@
-//! The cells of a job, made from its options and a scene.
+//! The creation of a job's cells from its options and a scene.
 
 use std::sync::Arc;
 
@@ -14,26 +14,28 @@ use super::job_options::JobOptions;
 use crate::error::Error;
 use crate::observer::Observer;
 
-/// Returns the fewest cells along each axis of a box whose sides are at most `size`.
+/// Returns the numbers of cells along x, y and z: the smallest numbers for which the sides of a cell are at
+/// most `size`.
 fn cells_of_size(view_box: Aabb, size: f64) -> [u32; 3] {
-    // The cast saturates; a grid that is too fine is rejected with its numbers.
+    // The cast saturates, and a grid that is too fine is rejected later with its numbers.
     (view_box.max.as_dvec3() - view_box.min.as_dvec3())
         .to_array()
         .map(|extent| ((extent / size).ceil() as u32).max(1))
 }
 
-/// The making of a job's cells from its options.
+/// A maker of a job's cells from its options.
 pub(super) struct CellMaker<'a> {
     pub(super) options: &'a JobOptions,
     pub(super) scene: &'a Arc<Scene>,
     pub(super) view_box: Aabb,
-    /// True if the cells only show which job this is: boxes are one box, and viewpoints are everywhere.
+    /// True if the cells serve only to check the job: boxes along walls are a single box, and viewpoints are
+    /// everywhere.
     pub(super) is_trial: bool,
     pub(super) observer: &'a dyn Observer,
 }
 
 impl CellMaker<'_> {
-    /// Makes the cells that are known before the bake.
+    /// Creates the cells that are known before the bake.
     pub(super) fn known(&self, tile_cells: TileCells) -> Result<KnownCells, Error> {
         if let Some(Cells::Walls(most)) = self.options.cells {
             let boxes = match self.is_trial {
@@ -49,23 +51,23 @@ impl CellMaker<'_> {
         }
         let grid = GridCells::new(self.view_box, self.sides()?).map_err(|e| self.explain(e))?;
         let grid = grid.with_tile_cells(tile_cells)?;
-        // Proofs are about whole cells.
+        // Proofs apply to whole cells, so walls do not restrict viewpoints with certificates.
         let walls = !self.options.certificates;
-        let viewpoints = self.viewpoints((grid.sides(), grid.cells().lattice()), walls)?;
+        let viewpoints = self.viewpoints(grid.sides(), grid.cells().lattice(), walls)?;
         Ok(grid.with_viewpoints(viewpoints).map(KnownCells::Grid)?)
     }
 
-    /// Makes the view box a box.
+    /// Creates cells with the view box as a single box.
     fn one_box(&self) -> Result<BoxCells, Error> {
         let tree = KdTree::new(&[3], &[]).map_err(Error::internal)?;
         BoxCells::new(self.view_box, Arc::new(tree)).map_err(|e| self.explain(e))
     }
 
-    /// Makes the grid of visibility cubes, which are at the lattice's points and have no region.
+    /// Creates the grid of visibility cubes. Cubes are at the points of the lattice and have no region.
     pub(super) fn cube_grid(&self) -> Result<CubeGrid, Error> {
         let grid = CubeGrid::new(self.view_box, self.sides()?).map_err(|e| self.explain(e))?;
         match self
-            .viewpoints((grid.sides(), grid.cells().lattice()), false)?
+            .viewpoints(grid.sides(), grid.cells().lattice(), false)?
             .mask()
         {
             Some(mask) => Ok(grid.with_mask(Arc::clone(mask))?),
@@ -73,7 +75,7 @@ impl CellMaker<'_> {
         }
     }
 
-    /// Makes the cells of an adaptive tree.
+    /// Creates the cells of an adaptive tree.
     pub(super) fn adaptive<const DEPTH: u32>(&self, budget: u32) -> Result<Adaptive<DEPTH>, Error> {
         if self.options.viewpoints.restrict() {
             return Err(Error::usage(
@@ -95,7 +97,10 @@ impl CellMaker<'_> {
         Ok(match (self.options.cell_size, self.options.cells) {
             (Some(size), _) if size.is_finite() && size > 0.0 => cells_of_size(self.view_box, size),
             (Some(size), _) => {
-                let text = format!("--cell-size {size}: give a length above 0, as in 2.5");
+                let text = format!(
+                    "--cell-size {size} is not a length; give a number above 0, such as \
+                 2.5"
+                );
                 return Err(Error::usage(text).about("cell-size"));
             }
             (None, Some(Cells::Grid(cells))) => cells,
@@ -103,15 +108,21 @@ impl CellMaker<'_> {
         })
     }
 
-    fn viewpoints(&self, grid: ([u32; 3], &Lattice), walls: bool) -> Result<Viewpoints, Error> {
+    fn viewpoints(
+        &self,
+        cells: [u32; 3],
+        lattice: &Lattice,
+        walls: bool,
+    ) -> Result<Viewpoints, Error> {
         if self.is_trial {
             return Ok(Viewpoints::Everywhere);
         }
         let options = &self.options.viewpoints;
-        options.viewpoints(self.scene, grid, walls, self.observer)
+        options.viewpoints(self.scene, cells, lattice, walls, self.observer)
     }
 
-    /// Explains why a view box cannot be divided. A view box that the user did not give comes from the scene.
+    /// Converts the error of a view box that cannot be divided. If the user gave no view box, the error names
+    /// the file that the box came from.
     fn explain(&self, e: DivisionError) -> Error {
         let places = &self.options.viewpoints;
         let (DivisionError::Box { axis, .. }, None) = (&e, places.view_box.first()) else {
@@ -120,16 +131,16 @@ impl CellMaker<'_> {
         let along = axis_name(*axis);
         if let Some(mesh) = &places.view_mesh {
             return Error::input(format!(
-                "{}: the places of viewpoints are flat along {along}, so they are no view box; give \
-                 --view-box, and for a navigation mesh --eye-heights LO,HI with LO < HI and --up",
+                "{}: the box around all viewpoints has no extent along {along}, so it cannot be a view \
+                 box; give --view-box, and for a navigation mesh --eye-heights LO,HI with LO < HI and --up",
                 mesh.display()
             ))
             .about("view-mesh");
         }
         let nothing = self.scene.triangles().iter().all(Triangle::is_degenerate);
         Error::scene(format!(
-            "{}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and \
-             z0 < z1",
+            "{}, so its bounds cannot be a view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < \
+             x1, y0 < y1 and z0 < z1",
             if nothing {
                 "none of the triangles of the scene has an area".to_owned()
             } else {

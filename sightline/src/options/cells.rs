@@ -1,4 +1,4 @@
-//! The view cells that options name: a grid, or boxes along walls.
+//! The view cells in options: a grid, or boxes along walls.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sightline_viewcells::MOST_BOXES;
@@ -16,22 +16,22 @@ use super::text::parse_grid;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cells {
-    /// A regular grid with this many cells along x, y and z.
+    /// A regular grid with these numbers of cells along x, y and z.
     Grid([u32; 3]),
-    /// At most this number of boxes along walls.
+    /// Boxes along walls. The number is the maximum number of boxes.
     Walls(usize),
 }
 
 /// Parses a grid of cells, as in `8x8x8`, or boxes along walls, as in `walls:512`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy as a text, if `text` is neither a grid nor boxes along walls.
 pub fn parse_cells(text: &str) -> Result<Cells, String> {
     if let Some(most) = text.trim().strip_prefix("walls:") {
         let most = most.parse().ok().filter(|n| (1..=MOST_BOXES).contains(n));
         return most
             .map(Cells::Walls)
-            .ok_or_else(|| format!("give walls:N with N from 1 to {MOST_BOXES}"));
+            .ok_or_else(|| format!("give walls:N with a number N from 1 to {MOST_BOXES}"));
     }
     parse_grid(text)
         .map(Cells::Grid)

@@ -1,4 +1,4 @@
-//! The options of a bake, one field for each.
+//! The options of a bake, with one field per option.
 
 use std::time::Duration;
 
@@ -84,7 +84,7 @@ pub struct JobOptions {
     /// Refine each cell until the 95 % bound on the fraction of its missed sight lines is at most this. The
     /// bound comes from lines that the search does not use, and the result stores it. The bound holds on
     /// average over the cell, not for the worst viewpoint. With --target-error as well, both conditions must
-    /// hold. Needs --sampler lines and a grid.
+    /// hold. Needs --sampler lines, and a grid or boxes along walls.
     #[cfg_attr(
         feature = "clap",
         arg(long, value_name = "F", allow_negative_numbers = true)
@@ -118,9 +118,9 @@ pub struct JobOptions {
     /// triangles.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Granularity>()))]
     pub granularity: Option<Granularity>,
-    /// Search until the sampler finds each item that covers this share of the sight lines from a cell with a
-    /// probability of at least 95 %: 0.001 for a thousandth of the view. Replaces --target-error. Two seeds
-    /// then agree on all but smaller items.
+    /// Search until the sampler finds each item that covers at least the share S of the sight lines from a
+    /// cell, with a probability of at least 95 %: 0.001 for a thousandth of the view. Replaces
+    /// --target-error. Two seeds then agree on all but smaller items.
     #[cfg_attr(
         feature = "clap",
         arg(long, value_name = "S", allow_negative_numbers = true)
@@ -135,8 +135,8 @@ pub struct JobOptions {
     #[cfg_attr(feature = "clap", arg(long, value_name = "D"))]
     #[cfg_attr(feature = "clap", arg(allow_negative_numbers = true, value_parser = text::parse_length))]
     pub far: Option<f32>,
-    /// Visibility between cells (dump --items cells, query --sees). auto: with at most 512 cells; on: with at
-    /// most 32768 cells. Default: auto.
+    /// Compute the pairs of cells that see each other, for dump --items cells and query --sees. auto: only
+    /// with at most 512 cells. on: always; more than 32768 cells are an error. off: never. Default: auto.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<CellToCell>()))]
     pub cell_to_cell: Option<CellToCell>,
     /// The options that restrict where viewpoints can be.
@@ -209,7 +209,7 @@ pub struct CubeOptions {
 }
 
 impl JobOptions {
-    /// Reads options from an object of JSON. Null is the same as an absent option.
+    /// Reads options from a JSON object. A null value is the same as an absent option.
     ///
     /// ```
     /// use sightline::JobOptions;
@@ -219,22 +219,28 @@ impl JobOptions {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] with the name of an option that is unknown or has an unsuitable value.
+    /// [`crate::ErrorKind::Usage`] with the name of the option, if an option is unknown or has an unsuitable
+    /// value.
     pub fn from_json(object: &Value) -> Result<Self, Error> {
         let Some(given) = object.as_object() else {
-            return Err(Error::usage("options are an object of names and values"));
+            return Err(Error::usage(
+                "the options must be a JSON object of names and values",
+            ));
         };
         let known = serde_json::to_value(Self::default()).map_err(Error::internal)?;
         let names: Vec<&String> = known.as_object().into_iter().flat_map(Map::keys).collect();
         let mut kept = Map::new();
         for (name, value) in given.iter().filter(|(_, value)| !value.is_null()) {
             if !names.contains(&name) {
-                return Err(Error::usage(format!("there is no option {name}")));
+                return Err(Error::usage(format!(
+                    "{name} is not an option; see `sightline bake --help`, \
+                 with _ in place of -"
+                )));
             }
             let alone = Map::from_iter([(name.clone(), value.clone())]);
             if let Err(e) = Self::deserialize(Value::Object(alone)) {
                 let option = option_named(name);
-                let error = Error::usage(format!("{name}: {e}, in place of {value}"));
+                let error = Error::usage(format!("{name}: {e}; got {value}"));
                 return Err(match option {
                     Some(option) => error.about(option),
                     None => error,
@@ -246,7 +252,7 @@ impl JobOptions {
     }
 }
 
-/// Durations as seconds or as text, for serde.
+/// The serialisation of durations as seconds or as text, for serde.
 mod duration {
     use std::time::Duration;
 
@@ -261,10 +267,10 @@ mod duration {
     }
 
     pub(super) fn serialize<S: Serializer>(
-        of: &Option<Duration>,
+        duration: &Option<Duration>,
         to: S,
     ) -> Result<S::Ok, S::Error> {
-        of.map(|d| d.as_secs_f64()).serialize(to)
+        duration.map(|d| d.as_secs_f64()).serialize(to)
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(

@@ -1,5 +1,4 @@
-//! The options of a bake, which become a job: one field for each option, for the command, Python and
-//! programs.
+//! The options of a bake, which define a job. The command, Python and other programs use the same fields.
 
 #[cfg(feature = "clap")]
 pub mod arguments;

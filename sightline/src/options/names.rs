@@ -37,7 +37,7 @@ const NAMES: [&str; 33] = [
     "seed",
 ];
 
-/// Finds the option that has this name in JSON.
+/// Returns the option whose name in JSON is `json`, or `None` for an unknown name.
 pub(super) fn option_named(json: &str) -> Option<&'static str> {
     NAMES
         .into_iter()
@@ -50,7 +50,7 @@ mod tests {
     use crate::options::JobOptions;
 
     #[test]
-    fn every_field_has_a_name() {
+    fn fields_have_option_names() {
         let fields = serde_json::to_value(JobOptions::default()).unwrap();
         let fields = fields.as_object().unwrap();
         assert_eq!(fields.len(), NAMES.len());

@@ -1,4 +1,4 @@
-//! The job of options: the checks of its numbers, its method, its sampler, and the fit with the scene.
+//! The conversion of options into a job: checks of the numbers, the method, the sampler, and the scene.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use sightline_model::{
     OutOfRange, Sampler, SamplerName, Sampling, SceneFacts, Stop, Task, TracerChoice, Visibility,
 };
 use sightline_scene::Scene;
-use sightline_trace::embree;
+use sightline_trace::{cpu, embree};
 
 use super::cell_maker::CellMaker;
 use super::cells::Cells;
@@ -19,9 +19,9 @@ use super::job_options::{CubeOptions, JobOptions};
 use crate::error::Error;
 use crate::observer::{Observer, note};
 
-/// Fraction of a view cell by which rounding may move a sight line before a note is given.
+/// The fraction of a view cell by which rounding may move a sight line without a note.
 const MUCH_MOVED: f64 = 1.0 / 16.0;
-/// The depth of adaptive trees, unless another one is given.
+/// The default depth of adaptive trees.
 const USUAL_DEPTH: u32 = 12;
 
 impl CubeOptions {
@@ -47,7 +47,7 @@ impl CubeOptions {
     }
 }
 
-/// The numbers of a job, each in its range, whether the job uses them or not.
+/// The numeric options of a job, each within its range. The job may not use all of them.
 struct Numbers {
     target_error: TargetError,
     max_error: Option<MaxError>,
@@ -70,12 +70,12 @@ fn facts(scene: &Scene) -> SceneFacts {
 }
 
 impl JobOptions {
-    /// Checks the numbers.
+    /// Checks the ranges of the numeric options, and returns the numbers.
     fn numbers(&self) -> Result<Numbers, OutOfRange> {
         let max_error = self.max_error.map(MaxError::new).transpose()?;
-        // A bound is the target, too, unless another one is given.
+        // If only --max-error is given, it is also the target error.
         let target = self.target_error.or(self.max_error);
-        // The least budget is a millisecond.
+        // The minimum time budget is a millisecond.
         let time = self.time_budget.map(|d| (d.as_millis() as u64).max(1));
         Ok(Numbers {
             target_error: target.map_or(Ok(TargetError::default()), TargetError::new)?,
@@ -89,7 +89,7 @@ impl JobOptions {
         })
     }
 
-    /// Returns the sampler: by default lines, and cubes for trees that lines do not sample.
+    /// Returns the sampler. The default is lines, or cubes for trees that lines do not sample.
     pub(super) fn sampler_name(&self) -> SamplerName {
         let is_deep = self.triangle_budget.is_some() && self.max_depth() > MOST_LINE_DEPTH;
         self.sampler.unwrap_or(match is_deep {
@@ -103,8 +103,8 @@ impl JobOptions {
         self.max_depth.unwrap_or(USUAL_DEPTH)
     }
 
-    /// Makes the job of these options for a scene. Cells along walls and restricted viewpoints are computed
-    /// here, which can take minutes; the observer receives the progress.
+    /// Creates the job of these options for a scene. Computes cells along walls and restricted viewpoints,
+    /// which can take minutes; the observer receives the progress.
     ///
     /// ```
     /// use sightline::{JobOptions, LoadOptions, SceneSource, Silent, read_scene};
@@ -124,20 +124,22 @@ impl JobOptions {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Usage`] with the option that is out of its range, that the job cannot use, or that
-    /// does not suit the scene; [`crate::ErrorKind::Input`] for files of viewpoints, and for a scene that a
-    /// tracer cannot represent; [`crate::ErrorKind::Cancelled`].
+    /// [`crate::ErrorKind::Usage`] with the option, if it is out of its range, the job cannot use it, or it
+    /// does not suit the scene. [`crate::ErrorKind::Input`] if a file of viewpoints cannot be read, or a
+    /// tracer cannot represent the scene. [`crate::ErrorKind::Cancelled`] if the observer cancels.
     pub fn resolve(&self, scene: &Arc<Scene>, observer: &dyn Observer) -> Result<JobSpec, Error> {
         let numbers = self.numbers()?;
         self.viewpoints.check()?;
         self.note_unused(observer)?;
         let method = self.method.unwrap_or_default();
-        // Where no graphics card is found, auto means Embree.
         let tracer = self.backend.unwrap_or_default().0;
         let tracer = tracer.filter(|_| method != MethodName::Portals);
-        if matches!(tracer, Some(TracerChoice::Auto | TracerChoice::Cpu)) {
-            embree::check_width(scene).map_err(|e| Error::scene(e.to_string()))?;
-        }
+        let width = match tracer {
+            Some(TracerChoice::Auto | TracerChoice::Cpu) => cpu::check_width(scene),
+            Some(TracerChoice::Embree) => embree::check_width(scene),
+            Some(TracerChoice::Gpu) | None => Ok(()),
+        };
+        width.map_err(|e| Error::scene(e.to_string()))?;
         let view_box = self.viewpoints.bounds(scene, observer)?;
         let job = |is_trial: bool| -> Result<JobSpec, Error> {
             let cells = CellMaker {
@@ -155,7 +157,7 @@ impl JobOptions {
             spec.fits(&facts(scene))?;
             Ok(spec)
         };
-        // Cells and viewpoints can cost minutes, so a job that is rejected is rejected before.
+        // Cells and viewpoints can take minutes, so check the other options with a trial job first.
         job(true)?;
         let spec = job(false)?;
         let displacement = spec
@@ -165,19 +167,21 @@ impl JobOptions {
             note(
                 observer,
                 format!(
-                    "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
-                     thinnest view cell. A line counts only if it crosses at least as much of a cell, so \
-                     more is missed than --target-error says. Wider cells or smaller coordinates avoid this",
+                    "note: coordinates are so large that rounding can move a sight line by {:.0} % \
+                     of the thinnest view cell. A line counts for a cell only if it crosses at least this \
+                     part of the cell, so the error is larger than --target-error. Use wider cells or \
+                     smaller coordinates",
                     100.0 * displacement
                 ),
             );
         }
-        // Views from above need such a box; more often it is a mistake about units or axes.
+        // Views from above need a view box without triangles, but most such boxes are mistakes about units or
+        // axes.
         self.viewpoints.warn_of_empty(scene, observer);
         Ok(spec)
     }
 
-    /// Notes the options that the job does not use.
+    /// Prints a note about the options that the job does not use.
     fn note_unused(&self, observer: &dyn Observer) -> Result<(), Error> {
         let unused = self.unused()?;
         if unused.is_empty() {
@@ -195,12 +199,12 @@ impl JobOptions {
         let unused = unused.join(", ");
         note(
             observer,
-            format!("note: the {user}{cells} makes no use of {unused}"),
+            format!("note: the {user}{cells} does not use {unused}"),
         );
         Ok(())
     }
 
-    /// Makes the task with its cells.
+    /// Creates the task with its cells.
     fn task(
         &self,
         numbers: &Numbers,
@@ -242,7 +246,7 @@ impl JobOptions {
         })
     }
 
-    /// Makes the sampler with its cells.
+    /// Creates the sampler with its cells.
     fn make_sampler(&self, numbers: &Numbers, cells: &CellMaker<'_>) -> Result<Sampler, Error> {
         let exact = match self.method.unwrap_or_default() {
             MethodName::Exact | MethodName::Verified => Some(TileCells::EXACT),

@@ -1,14 +1,14 @@
-//! Values of options as the command line writes them.
+//! Parsers of option values in the form of the command line.
 
 use std::time::Duration;
 
 use glam::Vec3;
 use sightline_scene::Aabb;
 
-/// The maximum duration: a year.
+/// Maximum duration: 366 days.
 const MOST_DURATION: Duration = Duration::from_secs(366 * 24 * 3600);
 
-/// Parses N finite numbers with commas between them.
+/// Parses `N` finite numbers, separated by commas.
 fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
     let parts = text
         .split(',')
@@ -23,24 +23,24 @@ fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
 /// Parses a point, as in `1.5,0,-2`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a point.
 pub fn parse_point(text: &str) -> Result<[f32; 3], String> {
-    numbers(text).ok_or_else(|| "give three numbers as in 1.5,0,-2".to_owned())
+    numbers(text).ok_or_else(|| "give three numbers, such as 1.5,0,-2".to_owned())
 }
 
 /// Parses two heights in ascending order, as in `1.2,1.8`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a pair of heights.
 pub fn parse_heights(text: &str) -> Result<[f32; 2], String> {
-    let wrong = || "give the least and the greatest height as in 1.2,1.8".to_owned();
+    let wrong = || "give the minimum and the maximum height, such as 1.2,1.8".to_owned();
     numbers(text).filter(|[lo, hi]| lo <= hi).ok_or_else(wrong)
 }
 
 /// Parses a length above 0, as in `2.5`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a length.
 pub fn parse_length(text: &str) -> Result<f32, String> {
     let length = text.parse::<f32>().ok();
     length
@@ -51,7 +51,7 @@ pub fn parse_length(text: &str) -> Result<f32, String> {
 /// Parses the length of a cell's side, as in `2.5`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a length.
 pub fn parse_size(text: &str) -> Result<f64, String> {
     let size = text.parse::<f64>().ok();
     size.filter(|s| s.is_finite() && *s > 0.0)
@@ -61,7 +61,7 @@ pub fn parse_size(text: &str) -> Result<f64, String> {
 /// Parses a box, as in `-1,0,-1,1,2,1`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a box.
 pub fn parse_box(text: &str) -> Result<Aabb, String> {
     let parts = text
         .split(',')
@@ -72,18 +72,21 @@ pub fn parse_box(text: &str) -> Result<Aabb, String> {
             Vec3::new(*x0, *y0, *z0),
             Vec3::new(*x1, *y1, *z1),
         )),
-        _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
+        _ => Err("give six numbers x0,y0,z0,x1,y1,z1, such as -1,0,-1,1,2,1".to_owned()),
     }
 }
 
-// The crate `humantime` rejects a number without a unit, which the contract permits.
-/// Parses a duration, as in `500ms`, `30s`, `30`, `5m` or `2h`; a number without a unit is in seconds.
+// The crate `humantime` rejects a number without a unit, which the command line permits.
+/// Parses a duration, as in `500ms`, `30s`, `30`, `5m` or `2h`. A number without a unit is in seconds.
 ///
 /// # Errors
-/// The remedy, for other text, and for a duration of 0 or of more than a year.
+/// The remedy, if the text is not a duration, or the duration is 0 or more than 366 days.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
-    let wrong =
-        || "give a duration of at most a year, as in 500ms, 30s (or 30), 5m or 2h".to_owned();
+    let wrong = || {
+        "give a duration above 0 and of at most 366 days, such as 500ms, 30s (or 30), 5m or \
+         2h"
+        .to_owned()
+    };
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,
@@ -102,7 +105,7 @@ pub fn parse_duration(text: &str) -> Result<Duration, String> {
 /// Parses a grid of cells, as in `8x8x8`.
 ///
 /// # Errors
-/// The remedy, for other text.
+/// The remedy, if the text is not a grid.
 pub fn parse_grid(text: &str) -> Result<[u32; 3], String> {
     let parts = text
         .split(['x', 'X'])
@@ -111,5 +114,5 @@ pub fn parse_grid(text: &str) -> Result<[u32; 3], String> {
     parts
         .ok()
         .and_then(|p| p.try_into().ok())
-        .ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
+        .ok_or_else(|| "give three whole numbers, such as 8x8x8".to_owned())
 }

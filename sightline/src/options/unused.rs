@@ -1,4 +1,4 @@
-//! Options without use: the only place that rejects a combination of options.
+//! The check for options that a job does not use, which returns an error or the options for a note.
 
 use sightline_model::{Granularity, MethodName, SamplerName};
 
@@ -7,12 +7,12 @@ use super::job_options::{CubeOptions, JobOptions};
 use crate::error::Error;
 use crate::tracers::TracerOption;
 
-/// The options that only some jobs have, each with its condition. A job with such an option that it does not
-/// have is rejected; about all other unused options there is a note.
+/// The options that only some jobs use, each with its condition. If the condition of a given option does not
+/// hold, [`JobOptions::unused`] rejects the job. Other unused options cause a note.
 const NEEDS: &[(&str, &str)] = &[
     (
         "--certificates",
-        "--method exact or verified: sampling alone proves nothing",
+        "--method exact or verified, because sampling creates no proofs",
     ),
     (
         "--granularity",
@@ -27,15 +27,16 @@ const NEEDS: &[(&str, &str)] = &[
     ),
     (
         "--triangle-budget",
-        "a method that samples, and --sampler lines or cubes; give --cells for another one",
+        "a method that samples, and --sampler lines or cubes; give --cells in place of --triangle-budget",
     ),
     (
         "--cells walls:N",
-        "--sampler lines or guided, or --method portals: visibility cubes are shared by the cells of a grid",
+        "--sampler lines or guided, or --method portals: visibility cubes are shared by the cells \
+         of a grid",
     ),
     (
         "--max-error",
-        "--sampler lines and a grid of cells (--cells)",
+        "--sampler lines, and --cells or --cell-size in place of --triangle-budget",
     ),
     (
         "--min-share",
@@ -52,22 +53,22 @@ const NEEDS: &[(&str, &str)] = &[
     ("--reach", "--viewpoints"),
 ];
 
-/// Returns the name of an option without dashes, for an option of the table: `--cells walls:N` is `cells`.
+/// Returns the name of an option in [`NEEDS`] without dashes: the name of `--cells walls:N` is `cells`.
 fn name(shown: &'static str) -> &'static str {
     let name = shown.trim_start_matches("--");
     name.split(' ').next().unwrap_or(name)
 }
 
-/// The given options that no part of the job has taken yet.
+/// The given options that no part of the job has used yet.
 struct UnusedOptions(Vec<&'static str>);
 
 impl UnusedOptions {
-    /// Takes options: the job uses them if they were given.
+    /// Marks options as used by the job.
     fn take(&mut self, options: &[&str]) {
         self.0.retain(|option| !options.contains(option));
     }
 
-    /// Rejects unused options that have a condition, and returns the other ones.
+    /// Rejects unused options that have a condition, and returns the other unused ones.
     fn finish(self) -> Result<Vec<&'static str>, Error> {
         let needs = |option: &&str| NEEDS.iter().find(|(shown, _)| shown == option);
         let wrong: Vec<_> = self.0.iter().filter_map(needs).collect();
@@ -82,7 +83,7 @@ impl UnusedOptions {
 }
 
 impl CubeOptions {
-    /// Returns the names of all of its options, with whether each was given.
+    /// Returns the names of all options of the cubes, each with true if the option was given.
     fn all(&self) -> [(&'static str, bool); 7] {
         [
             ("--resolution", self.resolution.is_some()),
@@ -97,7 +98,7 @@ impl CubeOptions {
 }
 
 impl JobOptions {
-    /// Returns the given options that not every job has.
+    /// Returns the given options among all options that only some jobs use.
     fn given(&self) -> UnusedOptions {
         let has_walls = matches!(self.cells, Some(Cells::Walls(_)));
         let places = &self.viewpoints;
@@ -130,7 +131,8 @@ impl JobOptions {
         )
     }
 
-    /// Rejects options that the job does not have, and returns unused options about which a note is enough.
+    /// Rejects given options that [`NEEDS`] lists and the job does not use. Returns the other unused options,
+    /// which cause only a note.
     pub(super) fn unused(&self) -> Result<Vec<&'static str>, Error> {
         let mut given = self.given();
         let method = self.method.unwrap_or_default();

@@ -51,19 +51,20 @@ pub struct ViewpointOptions {
     pub reach: Option<f32>,
     /// Viewpoints are the points that a viewer reaches from this point along any number of unobstructed
     /// segments. May be given several times. If walls enclose the points, viewpoints are exactly between
-    /// these walls, also in parts of cells. If a way leads out of the scene, the program names its narrowest
-    /// opening and uses whole parts (quarters) of cells; parts behind gaps that no ray finds are omitted.
+    /// these walls, also in parts of cells. If a way leads out of the scene, the program prints the narrowest
+    /// opening of the way, and marks parts of cells (64 per cell) with rays; it omits parts behind gaps that
+    /// no ray passes.
     #[cfg_attr(feature = "clap", arg(long, value_name = "X,Y,Z", value_parser = super::text::parse_point))]
     #[cfg_attr(feature = "clap", arg(allow_hyphen_values = true))]
     pub reachable_from: Vec<[f32; 3]>,
-    /// The axis of the scene that points up. It does not rotate the scene: --eye-heights uses it, and the
-    /// result stores it. Default: y.
+    /// The axis of the scene that points up. This option does not rotate the scene: --eye-heights uses the
+    /// axis, and the result stores it. Default: y.
     #[cfg_attr(feature = "clap", arg(long, value_parser = super::arguments::named::<Up>()))]
     pub up: Option<Up>,
 }
 
 impl ViewpointOptions {
-    /// Checks the numbers, which structs and JSON can hold in any range.
+    /// Checks the numbers, because programs and JSON can give numbers in any range.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Usage`] with the option that is out of its range.
@@ -72,23 +73,23 @@ impl ViewpointOptions {
             && !(low.is_finite() && high.is_finite() && low <= high)
         {
             return Err(Error::usage(format!(
-                "--eye-heights {low},{high}: give the least and the greatest height as in 1.2,1.8"
+                "--eye-heights {low},{high}: give the minimum and the maximum height, such as 1.2,1.8"
             ))
             .about("eye-heights"));
         }
         if let Some(reach) = self.reach
             && !(reach.is_finite() && reach > 0.0)
         {
-            return Err(
-                Error::usage(format!("--reach {reach}: give a length above 0, as in 2.5"))
-                    .about("reach"),
-            );
+            return Err(Error::usage(format!(
+                "--reach {reach}: give a length above 0, such as 2.5"
+            ))
+            .about("reach"));
         }
         Ok(())
     }
 }
 
-/// Boxes as six numbers each, for serde.
+/// The serialisation of boxes as six numbers each, for serde.
 mod boxes {
     use glam::Vec3;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};

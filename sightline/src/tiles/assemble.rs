@@ -1,4 +1,4 @@
-//! The assembly of the tiles of a planned bake to a result.
+//! The assembly of a result from the tiles of a planned bake.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -9,6 +9,7 @@ use sightline_assemble::{
     AssembleError, Assembly, OutputState, Outputs, SceneSummary, items, write,
 };
 use sightline_pvs::PvsError;
+use sightline_viewcells::TileIndex;
 
 use super::place::PlanPlace;
 use super::planned::PlannedBake;
@@ -17,10 +18,10 @@ use crate::error::Error;
 use crate::output::{Format, Output};
 use crate::process::{threads, use_threads};
 
-/// Absent tiles that an error names.
+/// Maximum number of missing tiles that an error lists.
 const NAMED: usize = 10;
 
-/// The outputs in a folder, all of which are there.
+/// The outputs of a planned bake whose folder contains the files of all tiles.
 struct FolderOutputs<'a> {
     bake: &'a PlannedBake,
     scene: SceneSize,
@@ -28,22 +29,22 @@ struct FolderOutputs<'a> {
 
 impl FolderOutputs<'_> {
     /// Reads a tile.
-    fn tile(&self, tile: u32) -> Result<TileFile, Error> {
+    fn tile(&self, tile: TileIndex) -> Result<TileFile, Error> {
         let wrong = |e: &dyn std::fmt::Display| self.wrong(tile, e);
         let found = self
             .bake
             .tile(tile)?
-            .ok_or_else(|| wrong(&"it is absent"))?;
+            .ok_or_else(|| wrong(&"the file is missing"))?;
         found.map_err(|e| wrong(&e))
     }
 
-    /// Reads and checks a tile; returns its samples.
-    fn checked(&self, tile: u32) -> Result<u64, Error> {
+    /// Reads and checks a tile. Returns the number of its samples.
+    fn checked(&self, tile: TileIndex) -> Result<u64, Error> {
         let found = self.tile(tile)?;
-        let planned = (tile, &self.bake.job.plan().tiles[tile as usize]);
         let checked = check(
             self.bake.task()?,
-            planned,
+            tile,
+            &self.bake.job.plan().tiles[tile.at()],
             self.scene,
             &found.output,
             u64::MAX,
@@ -52,10 +53,10 @@ impl FolderOutputs<'_> {
         Ok(found.samples)
     }
 
-    fn wrong(&self, tile: u32, e: &dyn std::fmt::Display) -> Error {
+    fn wrong(&self, tile: TileIndex, e: &dyn std::fmt::Display) -> Error {
         let name = self.bake.place.name(&PlannedBake::file(tile));
         Error::input(format!(
-            "{name}: {e}; `sightline tile DIR {tile}` computes it again"
+            "{name}: {e}; `sightline tile DIR {tile}` computes the tile again"
         ))
     }
 }
@@ -63,36 +64,36 @@ impl FolderOutputs<'_> {
 impl Outputs for FolderOutputs<'_> {
     type Error = Error;
 
-    fn state(&self, _tile: u32) -> OutputState {
+    fn state(&self, _tile: TileIndex) -> OutputState {
         OutputState::Done
     }
 
-    fn read(&self, tile: u32) -> Result<Vec<u8>, Error> {
+    fn read(&self, tile: TileIndex) -> Result<Vec<u8>, Error> {
         self.tile(tile).map(|found| found.output)
     }
 }
 
-/// An assembled result. Serialised, it is the document that `sightline assemble --json` prints.
+/// An assembled result. Its serialisation is the document that `sightline assemble --json` prints.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Assembled {
-    /// The result file.
+    /// The path of the result file.
     pub output: String,
     /// The size of the file, in bytes.
     pub bytes: u64,
 }
 
-/// Joins the tiles of the plan in a folder or bucket to a result, which has the bytes of a bake. The
-/// [module](super) has an example.
+/// Joins the tiles of the plan in a folder or bucket to a result. The result has the same bytes as the result
+/// of a bake. The [module](super) has an example.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] with the tiles that are absent, damaged or of another job,
-/// [`crate::ErrorKind::Usage`] for a path that cannot be written.
+/// [`crate::ErrorKind::Input`] with the tiles, if tiles are absent, damaged or of another job, or
+/// [`crate::ErrorKind::Usage`] if the path cannot be written.
 pub fn assemble(dir: &str, path: &Path) -> Result<Assembled, Error> {
     use_threads(threads(None))?;
     let output = Output::check(path, Format::Pvs, None)?;
     let bake = PlannedBake::read(PlanPlace::open(dir)?)?;
     let task = bake.task()?;
-    let tiles = 0..bake.job.plan().tiles.len() as u32;
+    let tiles = (0..bake.job.plan().tiles.len() as u32).map(TileIndex);
     let mut absent = Vec::new();
     for tile in tiles.clone() {
         if !bake.place.has(&PlannedBake::file(tile))? {
@@ -106,7 +107,7 @@ pub fn assemble(dir: &str, path: &Path) -> Result<Assembled, Error> {
         };
         absent.truncate(NAMED);
         return Err(Error::input(format!(
-            "tiles are absent in {dir}: {}{more}; compute them with `sightline tile {dir} N`",
+            "tiles are missing in {dir}: {}{more}; compute them with `sightline tile {dir} N`",
             absent.join(", ")
         )));
     }

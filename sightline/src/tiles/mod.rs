@@ -1,6 +1,8 @@
-//! Bakes without a coordinator: `plan` writes a job, its scene and its plan into a folder, `run_tile`
-//! computes one tile there, and `assemble` joins them. Every process that sees the folder can compute tiles,
-//! in any order that their dependencies allow; two processes that compute the same tile write the same file.
+//! Bakes without a coordinator.
+//!
+//! `plan` writes a job, its scene and its plan to a folder, `run_tile` computes one tile in the folder, and
+//! `assemble` joins the tiles. Every process with access to the folder can compute tiles, in any order that
+//! their dependencies permit. Two processes that compute the same tile write the same file.
 //!
 //! ```no_run
 //! use sightline::{JobOptions, LoadOptions, SceneSource, Silent, tiles};
@@ -11,7 +13,7 @@
 //! let planned = tiles::plan(&scene, &job, "plan", &Silent)?;
 //! // The tiles of grids and boxes need no other tiles, so that any order serves.
 //! for number in 0..planned.tiles {
-//!     tiles::run_tile("plan", number, &Silent)?;
+//!     tiles::run_tile("plan", tiles::TileIndex(number), &Silent)?;
 //! }
 //! tiles::assemble("plan", "level.pvs".as_ref())?;
 //! # Ok::<(), sightline::Error>(())
@@ -28,3 +30,4 @@ pub use self::assemble::{Assembled, assemble};
 pub use self::plan::{Planned, plan};
 pub use self::planned::{PlanFile, PlanTile};
 pub use self::run::{TileReport, run_tile};
+pub use sightline_viewcells::TileIndex;

@@ -1,4 +1,5 @@
-//! The place of a planned bake: a folder, or a prefix in a bucket. Files in it appear complete.
+//! The location of a planned bake: a folder, or a prefix in a bucket. Its files appear only when they are
+//! complete.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +7,7 @@ use sightline_store::{BlobPlace, ObjectFolder, PlaceError};
 
 use crate::error::Error;
 
-/// The files of a planned bake, by name.
+/// The location of the files of a planned bake.
 pub enum PlanPlace {
     /// A folder.
     Folder(PathBuf),
@@ -15,10 +16,10 @@ pub enum PlanPlace {
 }
 
 impl PlanPlace {
-    /// Finds the place that a text names: `s3://…`, as the coordinator's `--blobs`, or a folder.
+    /// Opens the location of a planned bake: `s3://…`, as for the coordinator's `--blobs`, or a folder.
     ///
     /// # Errors
-    /// [`Error`] for a bucket that cannot be reached.
+    /// [`Error`] if a bucket cannot be reached.
     pub fn open(text: &str) -> Result<Self, Error> {
         if !text.contains("://") {
             return Ok(Self::Folder(text.into()));
@@ -38,7 +39,7 @@ impl PlanPlace {
         }
     }
 
-    /// Returns the name of a file for messages.
+    /// Returns the name of a file, for messages.
     pub fn name(&self, file: &str) -> String {
         match self {
             Self::Folder(path) => path.join(file).display().to_string(),
@@ -46,10 +47,10 @@ impl PlanPlace {
         }
     }
 
-    /// Reads a file; `None` when it is absent.
+    /// Reads a file, or returns `None` if the file is absent.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`].
+    /// [`crate::ErrorKind::Input`] if the file cannot be read.
     pub fn read(&self, file: &str) -> Result<Option<Vec<u8>>, Error> {
         match self {
             Self::Folder(path) => match std::fs::read(path.join(file)) {
@@ -67,7 +68,7 @@ impl PlanPlace {
     /// Returns true if a file exists.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`].
+    /// [`crate::ErrorKind::Input`] if the location cannot be read.
     pub fn has(&self, file: &str) -> Result<bool, Error> {
         match self {
             Self::Folder(path) => match path.join(file).try_exists() {
@@ -81,10 +82,10 @@ impl PlanPlace {
         }
     }
 
-    /// Writes a file, which replaces an earlier one as a whole.
+    /// Writes a file, or replaces the whole content of an existing file.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Internal`].
+    /// [`crate::ErrorKind::Internal`] if the file cannot be written.
     pub fn write(&self, file: &str, bytes: Vec<u8>) -> Result<(), Error> {
         match self {
             Self::Folder(path) => {

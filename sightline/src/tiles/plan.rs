@@ -1,4 +1,4 @@
-//! The plan of a bake: a job with its scene and its tiles, in a folder.
+//! The plan of a bake: a job with its scene and its tiles, in a folder or bucket.
 
 use std::sync::Arc;
 
@@ -16,10 +16,10 @@ use crate::observer::Observer;
 use crate::process::{threads, use_threads};
 use crate::tracers::{note_missing, selection};
 
-/// A plan that was written. Serialised, it is the document that `sightline plan --json` prints.
+/// A written plan. Its serialisation is the document that `sightline plan --json` prints.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Planned {
-    /// The folder, or the place in a bucket.
+    /// The path of the folder, or the address of the bucket's prefix.
     pub output: String,
     /// The number of tiles.
     pub tiles: u32,
@@ -28,11 +28,11 @@ pub struct Planned {
 }
 
 /// Writes the plan of a job to a folder, or to a prefix in a bucket (`s3://BUCKET/PREFIX`). The tracer of
-/// this machine that suits the job decides the numerics profile. The [module](super) has an example.
+/// this machine that suits the job determines the numerics profile. The [module](super) has an example.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a job with a time budget, [`crate::ErrorKind::Input`] for a folder that
-/// holds another bake, [`crate::ErrorKind::Internal`] for a machine without a suitable tracer.
+/// [`crate::ErrorKind::Usage`] if the job has a time budget, [`crate::ErrorKind::Input`] if the folder
+/// contains another bake, or [`crate::ErrorKind::Internal`] if the machine has no suitable tracer.
 pub fn plan(
     scene: &Arc<Scene>,
     job: &JobSpec,
@@ -41,8 +41,8 @@ pub fn plan(
 ) -> Result<Planned, Error> {
     if job.time_budget().is_some() {
         return Err(Error::usage(
-            "--time-budget counts from the submission of a job, and the tiles of a plan are computed at any \
-             time; leave it out",
+            "--time-budget starts with the submission of a job, but the tiles of a plan are \
+             computed at any time; omit --time-budget",
         )
         .about("time-budget"));
     }
@@ -63,7 +63,7 @@ pub fn plan(
     })
 }
 
-/// Chooses the numerics profile as a bake on this machine does.
+/// Selects the numerics profile in the same way as a bake on this machine.
 fn bind_profile(
     job: &JobSpec,
     scene: &Arc<Scene>,
@@ -81,7 +81,7 @@ fn bind_profile(
     let time = || time_profiles(&probed, &loaded, job, "");
     choose_profile(choice, &probed.profiles(), time).ok_or_else(|| {
         Error::internal(format!(
-            "no backend of this machine suits the job; it has: {}",
+            "no backend of this machine suits the job; the machine has: {}",
             probed.profiles().join(", ")
         ))
     })

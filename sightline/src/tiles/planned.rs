@@ -1,11 +1,11 @@
-//! A planned bake as its folder has it: the job's message, the scene, and `plan.json`.
+//! A planned bake in a folder: the job's message, the scene, and `plan.json`.
 
 use prost::Message as _;
 use serde::{Deserialize, Serialize};
 use sightline_model::{ALGORITHM_VERSION, JobSpec, PlannedJob, SceneFacts, Task, Visibility};
 use sightline_proto::v1;
 use sightline_scene::Scene;
-use sightline_viewcells::TileKind;
+use sightline_viewcells::{TileIndex, TileKind};
 
 use super::place::PlanPlace;
 use super::tile_file::{TileFile, TileFileError};
@@ -15,27 +15,27 @@ use crate::error::Error;
 const FORMAT: &str = "sightline.plan";
 /// The version of the format.
 const VERSION: u32 = 1;
-/// The file that is written last: with it the folder is complete.
+/// The name of the file that is written last and marks the folder as complete.
 const PLAN: &str = "plan.json";
-/// The file of the job's message.
+/// The name of the file with the job's message.
 const JOB: &str = "job.bin";
-/// The file of the scene's canonical bytes.
+/// The name of the file with the scene's canonical bytes.
 const SCENE: &str = "scene.bin";
 
 /// The document `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanFile {
-    /// `sightline.plan`.
+    /// The name of the format: `sightline.plan`.
     pub format: String,
-    /// 1.
+    /// The version of the format: 1.
     pub version: u32,
-    /// The version of the algorithms.
+    /// The version of the algorithms (`ALGORITHM_VERSION`) of the program that wrote the plan.
     pub algorithm: u32,
     /// The job's key, in hexadecimal.
     pub key: String,
     /// The numerics profile with which every tile must be computed.
     pub profile: String,
-    /// The job, as results have it.
+    /// The job's specification, in the same form as in results.
     pub spec: serde_json::Value,
     /// The tiles in the order of the plan.
     pub tiles: Vec<PlanTile>,
@@ -44,17 +44,17 @@ pub struct PlanFile {
 /// A tile of the document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanTile {
-    /// The numbers of the tiles whose outputs it reads.
+    /// The numbers of the tiles whose outputs this tile reads.
     pub needs: Vec<u32>,
-    /// `leaf` for a tile of cells, `face` or `separator` for one of samples.
+    /// The kind of the tile: `leaf` for cells, `face` or `separator` for samples.
     pub kind: String,
-    /// The number of its cells, 1 in an adaptive tree.
+    /// The number of the tile's cells: 1 for a leaf of an adaptive tree, and 0 for a face or separator.
     pub cells: u64,
 }
 
 /// A planned bake.
 pub struct PlannedBake {
-    /// The folder or bucket.
+    /// The location of the files.
     pub place: PlanPlace,
     /// The job.
     pub job: PlannedJob,
@@ -63,18 +63,18 @@ pub struct PlannedBake {
 }
 
 impl PlannedBake {
-    /// Writes a planned bake. The files of the same bake are written again, so that damaged ones are
-    /// replaced.
+    /// Writes a planned bake. If the folder contains the same bake, its files are written again, so that
+    /// damaged ones are replaced.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for a folder that holds another bake.
+    /// [`crate::ErrorKind::Input`] if the folder contains another bake.
     pub fn write(&self, scene: &Scene) -> Result<(), Error> {
         let plan = self.document();
         let there = self.place.read(PLAN)?;
         let there = there.and_then(|there| serde_json::from_slice::<PlanFile>(&there).ok());
         if there.is_some_and(|there| (&there.key, &there.profile) != (&plan.key, &plan.profile)) {
             return Err(Error::input(format!(
-                "{} is of another bake; give another folder, or delete all of it",
+                "{} belongs to another bake; give another folder, or delete the folder",
                 self.place.name(PLAN)
             )));
         }
@@ -110,14 +110,14 @@ impl PlannedBake {
     /// Reads a planned bake.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for a folder without one, or with one of another version.
+    /// [`crate::ErrorKind::Input`] if the folder contains no planned bake, or one of another version.
     pub fn read(place: PlanPlace) -> Result<Self, Error> {
         let wrong = |file: &str, why: &dyn std::fmt::Display| {
             Error::input(format!("{}: {why}; plan the bake again", place.name(file)))
         };
         let Some(plan) = place.read(PLAN)? else {
             return Err(Error::input(format!(
-                "{} is absent; `sightline plan SCENE -o DIR` writes it",
+                "{} is missing; `sightline plan SCENE -o DIR` writes the plan",
                 place.name(PLAN)
             )));
         };
@@ -126,26 +126,32 @@ impl PlannedBake {
             let found = format!("format {:?}, version {}", plan.format, plan.version);
             return Err(wrong(
                 PLAN,
-                &format!("{found}, and this program has {FORMAT:?}, {VERSION}"),
+                &format!(
+                    "the file has {found}, but this program reads format {FORMAT:?}, version \
+                {VERSION}"
+                ),
             ));
         }
         if plan.algorithm != ALGORITHM_VERSION {
             return Err(wrong(
                 PLAN,
                 &format!(
-                    "algorithm {}, and this program has {ALGORITHM_VERSION}",
+                    "the plan has the algorithm version {}, but this program has {ALGORITHM_VERSION}",
                     plan.algorithm
                 ),
             ));
         }
         let message = place
             .read(JOB)?
-            .ok_or_else(|| wrong(JOB, &"it is absent"))?;
+            .ok_or_else(|| wrong(JOB, &"the file is missing"))?;
         let message = v1::JobSpec::decode(&*message).map_err(|e| wrong(JOB, &e))?;
         let spec = JobSpec::from_message(&message, &SceneFacts::default());
         let job = PlannedJob::stored(spec.map_err(|e| wrong(JOB, &e))?);
         if hex(&job.key()) != plan.key {
-            return Err(wrong(JOB, &"it is not the job of the plan"));
+            return Err(wrong(
+                JOB,
+                &"the key of the job differs from the key in plan.json",
+            ));
         }
         let profile = plan.profile;
         Ok(Self {
@@ -158,36 +164,37 @@ impl PlannedBake {
     /// Reads the scene.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for bytes that are not the scene of the job.
+    /// [`crate::ErrorKind::Input`] if the bytes are not the scene of the job.
     pub fn scene(&self) -> Result<Scene, Error> {
         let name = self.place.name(SCENE);
         let wrong = |why: &str| Error::input(format!("{name}: {why}; plan the bake again"));
         let bytes = self
             .place
             .read(SCENE)?
-            .ok_or_else(|| wrong("it is absent"))?;
+            .ok_or_else(|| wrong("the file is missing"))?;
         let scene = Scene::from_blob(&name, &bytes).map_err(|e| Error::input(e.to_string()))?;
         match scene.digest().0 == self.job.spec().scene {
             true => Ok(scene),
-            false => Err(wrong("it is not the scene of the plan, or it is damaged")),
+            false => Err(wrong("the file contains another scene, or is damaged")),
         }
     }
 
-    /// Returns the task, which is visibility: `plan` makes no other.
+    /// Returns the visibility task of the job. `plan` writes no jobs with other tasks.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for a job of another task.
+    /// [`crate::ErrorKind::Input`] if the job has another task.
     pub fn task(&self) -> Result<&Visibility, Error> {
         match &self.job.spec().task {
             Task::Visibility(task) => Ok(task),
             Task::Ambient(_) => Err(Error::input(format!(
-                "{} is a job of ambient occlusion, which has no plan in a folder",
+                "{} is a job of ambient occlusion, which cannot be planned in a folder; use `sightline \
+                 ambient`",
                 self.place.name(JOB)
             ))),
         }
     }
 
-    /// Returns the digest of the job's key and the numerics profile, which decide the bytes of its tiles.
+    /// Returns the digest of the job's key and the numerics profile, which determine the bytes of its tiles.
     pub fn identity(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&self.job.key());
@@ -196,16 +203,16 @@ impl PlannedBake {
     }
 
     /// Returns the name of a tile's file.
-    pub fn file(tile: u32) -> String {
+    pub fn file(tile: TileIndex) -> String {
         format!("tiles/{tile}.tile")
     }
 
-    /// Reads the file of a tile; `None` when it is absent.
+    /// Reads the file of a tile, or returns `None` if the file is absent.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Input`] for a file that cannot be read; the inner error for bytes that are not the
-    /// tile's.
-    pub fn tile(&self, tile: u32) -> Result<Option<Result<TileFile, TileFileError>>, Error> {
+    /// [`crate::ErrorKind::Input`] if the file cannot be read. The inner [`TileFileError`] if the bytes are
+    /// not this tile.
+    pub fn tile(&self, tile: TileIndex) -> Result<Option<Result<TileFile, TileFileError>>, Error> {
         let bytes = self.place.read(&Self::file(tile))?;
         Ok(bytes.map(|bytes| TileFile::decode(&bytes, &self.identity(), tile)))
     }

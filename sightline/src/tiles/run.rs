@@ -5,9 +5,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use serde::Serialize;
-use sightline_bake::{Alone, BakeError, Control, Inputs, PackBytes, TileDone, Watcher};
+use sightline_bake::{BakeError, Control, Inputs, PackBytes, SoleMember, TileDone, Watcher};
+use sightline_model::TracerChoice;
 use sightline_trace::CubeSpec;
 use sightline_trace::gpu::AdapterChoice;
+use sightline_viewcells::TileIndex;
 use sightline_worker::{Backends, TracedScene, TracerSelection};
 
 use super::place::PlanPlace;
@@ -18,14 +20,14 @@ use crate::observer::{Observer, note};
 use crate::process::{threads, use_threads};
 use crate::progress::Counter;
 
-/// A computed tile. Serialised, it is the document that `sightline tile --json` prints.
+/// A computed tile. Its serialisation is the document that `sightline tile --json` prints.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct TileReport {
     /// The number of the tile.
-    pub tile: u32,
-    /// The file of the tile.
+    pub tile: TileIndex,
+    /// The path of the tile's file.
     pub output: String,
-    /// False if the file existed and was whole.
+    /// False if a complete file already existed.
     pub computed: bool,
     /// The number of samples.
     pub samples: u64,
@@ -33,26 +35,33 @@ pub struct TileReport {
     pub bytes: u64,
 }
 
-/// Computes a tile of the plan in a folder or bucket, unless its file exists and is whole. The
+/// Computes a tile of the plan in a folder or bucket, unless a complete file of the tile exists. The
 /// [module](super) has an example.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Usage`] for a number without a tile, [`crate::ErrorKind::Input`] for a plan that
-/// cannot be read, for absent tiles that this one needs, and for a machine without the plan's tracer,
-/// [`crate::ErrorKind::Job`] for a tile that fails, or [`crate::ErrorKind::Cancelled`].
-pub fn run_tile(dir: &str, number: u32, observer: &dyn Observer) -> Result<TileReport, Error> {
+/// [`crate::ErrorKind::Usage`] if the plan has no tile with this number. [`crate::ErrorKind::Input`] if the
+/// plan cannot be read, a needed tile is absent, or the machine lacks the plan's tracer.
+/// [`crate::ErrorKind::Job`] if the tile fails. [`crate::ErrorKind::Cancelled`] if the observer cancels.
+pub fn run_tile(
+    dir: &str,
+    number: TileIndex,
+    observer: &dyn Observer,
+) -> Result<TileReport, Error> {
     use_threads(threads(None))?;
     let bake = PlannedBake::read(PlanPlace::open(dir)?)?;
     let count = bake.job.plan().tiles.len();
-    if number as usize >= count {
+    if number.at() >= count {
         return Err(Error::usage(format!(
-            "there is no tile {number}: the plan has {count}, numbered from 0"
+            "there is no tile {number}: the plan has {count} tiles, numbered from 0"
         )));
     }
     let name = bake.place.name(&PlannedBake::file(number));
     match bake.tile(number)? {
         Some(Ok(stored)) => return Ok(report(&bake, &stored, false)),
-        Some(Err(e)) => note(observer, format!("note: {name}: {e}; it is computed again")),
+        Some(Err(e)) => note(
+            observer,
+            format!("note: {name}: {e}; this run computes the tile again"),
+        ),
         None => {}
     }
     let packs = needed(&bake, number)?;
@@ -78,17 +87,18 @@ fn report(bake: &PlannedBake, tile: &TileFile, computed: bool) -> TileReport {
     }
 }
 
-/// Reads the outputs of the tiles that a tile needs.
-fn needed(bake: &PlannedBake, number: u32) -> Result<Vec<Vec<u8>>, Error> {
-    let needs = &bake.job.plan().tiles[number as usize].needs;
+/// Reads the outputs of the tiles that a tile depends on.
+fn needed(bake: &PlannedBake, number: TileIndex) -> Result<Vec<Vec<u8>>, Error> {
+    let needs = &bake.job.plan().tiles[number.at()].needs;
     let mut absent = Vec::new();
     let mut packs = Vec::with_capacity(needs.len());
-    for &need in needs {
+    for need in needs.iter().copied().map(TileIndex) {
         match bake.tile(need)? {
             Some(Ok(tile)) => packs.push(tile.output),
             Some(Err(e)) => {
                 return Err(Error::input(format!(
-                    "{}, which tile {number} needs: {e}; `sightline tile DIR {need}` computes it again",
+                    "{}, which tile {number} needs: {e}; `sightline tile DIR {need}` computes tile {need} \
+                     again",
                     bake.place.name(&PlannedBake::file(need))
                 )));
             }
@@ -98,13 +108,13 @@ fn needed(bake: &PlannedBake, number: u32) -> Result<Vec<Vec<u8>>, Error> {
     match absent.is_empty() {
         true => Ok(packs),
         false => Err(Error::input(format!(
-            "tile {number} needs tiles that are absent: {}; compute them first",
+            "tile {number} needs tiles that are missing: {}; compute these tiles first",
             absent.join(", ")
         ))),
     }
 }
 
-/// The progress of a tile, and its observer.
+/// The number of finished cells of a tile, and the observer of the call.
 struct Counts<'a> {
     cells: AtomicU64,
     observer: &'a dyn Observer,
@@ -124,7 +134,7 @@ impl Watcher for Counts<'_> {
 
 fn compute(
     bake: &PlannedBake,
-    number: u32,
+    number: TileIndex,
     packs: &[Vec<u8>],
     observer: &dyn Observer,
 ) -> Result<TileDone, Error> {
@@ -135,13 +145,13 @@ fn compute(
             let backends = Backends::probe(selection(&bake.profile), AdapterChoice::default());
             if !backends.profiles().contains(&bake.profile) {
                 return Err(Error::input(format!(
-                    "the plan is for {}, and this machine has: {}; compute the tile on a machine like the \
-                     one that planned it, or plan the bake here",
+                    "the plan is for the numerics profile {}, but this machine has: {}; compute the tile \
+                     on a machine with that profile, or plan the bake on this machine",
                     bake.profile,
                     backends.profiles().join(", ")
                 )));
             }
-            let cubes = CubeSpec::of(&sampling.sampler);
+            let cubes = CubeSpec::from_sampler(&sampling.sampler);
             let tracer = loaded.backend(&backends, &bake.profile, cubes, "");
             Some(tracer.map_err(Error::internal)?)
         }
@@ -160,13 +170,13 @@ fn compute(
         cells: AtomicU64::new(0),
         observer,
     };
-    let cells = bake.job.plan().tiles[number as usize].cells;
+    let cells = bake.job.plan().tiles[number.at()].cells;
     let done = std::thread::scope(|scope| {
         let tile = scope.spawn(|| {
             let control = Control {
                 watcher: &counts,
                 deadline: None,
-                crew: &Alone,
+                crew: &SoleMember,
             };
             sightline_bake::run(&bake.job, number, inputs, control)
         });
@@ -178,18 +188,22 @@ fn compute(
         }
         tile.join()
     });
-    let done = done.map_err(|_| Error::internal("computing the tile panicked"))?;
+    let done = done.map_err(|_| {
+        Error::internal(
+            "the computation of the tile panicked; report this \
+     fault",
+        )
+    })?;
     done.map_err(|e| match e {
-        BakeError::Cancelled => Error::cancelled("interrupted; the tile is not written"),
+        BakeError::Cancelled => Error::cancelled("interrupted; no file of the tile was written"),
         BakeError::Backend(_) => Error::internal(e),
         BakeError::Tile(_) => Error::job(e.to_string()),
     })
 }
 
-/// Returns the kind of backend that has a profile.
+/// Returns the kind of backend of a numerics profile.
 fn selection(profile: &str) -> TracerSelection {
-    match profile.starts_with("gpu/") {
-        true => TracerSelection::Gpu,
-        false => TracerSelection::Cpu,
-    }
+    let choices = [TracerChoice::Gpu, TracerChoice::Embree];
+    let choice = choices.into_iter().find(|c| c.accepts(profile));
+    crate::tracers::selection(choice.unwrap_or(TracerChoice::Cpu))
 }

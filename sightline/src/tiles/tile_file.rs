@@ -1,9 +1,13 @@
-//! The file of a tile: a header with the bake, the tile and the samples, then the output, under one digest.
+//! The file of a tile: a header, then the output, all covered by one digest.
+//!
+//! The header contains the digest of the bake, the number of the tile and the number of samples.
 
-/// The first bytes of such a file, with its version.
+use sightline_viewcells::TileIndex;
+
+/// The first bytes of a tile file, with the version.
 const MAGIC: &[u8; 8] = b"SLTILE\0\x01";
-/// Bytes before the output: the first ones, the bake, the tile, the samples, and the digest of all that and
-/// of the output.
+/// The number of bytes before the output. These are the magic, the bake, the tile, the samples, and the
+/// digest of these and of the output.
 const HEADER: usize = 8 + 32 + 4 + 8 + 32;
 
 /// A tile's output with its bake and its samples.
@@ -11,38 +15,38 @@ const HEADER: usize = 8 + 32 + 4 + 8 + 32;
 pub struct TileFile {
     /// The digest of the job's key and the numerics profile.
     pub bake: [u8; 32],
-    /// The tile's number.
-    pub tile: u32,
-    /// The number of its samples.
+    /// The number of the tile.
+    pub tile: TileIndex,
+    /// The number of samples.
     pub samples: u64,
     /// The output.
     pub output: Vec<u8>,
 }
 
-/// Bytes that are not the file of a tile.
+/// The reason why bytes are not the file of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TileFileError {
-    /// The file does not begin like one.
-    #[error("it is not the file of a tile, or of another version")]
+    /// The file does not start with the magic of tile files.
+    #[error("the file is not a tile file, or has another version")]
     Foreign,
-    /// The content does not have the digest.
-    #[error("it is damaged")]
+    /// The content does not match the digest.
+    #[error("the file is damaged")]
     Damaged,
     /// The tile belongs to another job, or was computed with another backend.
-    #[error("it is of another job, or of another backend")]
+    #[error("the file belongs to another job or another numerics profile")]
     OtherBake,
-    /// The tile is another one of the job.
-    #[error("it is tile {0}")]
-    OtherTile(u32),
+    /// The file contains another tile of the job.
+    #[error("the file contains tile {0}")]
+    OtherTile(TileIndex),
 }
 
 impl TileFile {
-    /// Encodes the file.
+    /// Encodes the file of a tile.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER + self.output.len());
         bytes.extend(MAGIC);
         bytes.extend(self.bake);
-        bytes.extend(self.tile.to_le_bytes());
+        bytes.extend(self.tile.0.to_le_bytes());
         bytes.extend(self.samples.to_le_bytes());
         let digest = digest(&bytes, &self.output);
         bytes.extend(digest.as_bytes());
@@ -53,8 +57,8 @@ impl TileFile {
     /// Decodes the file of a tile of a bake.
     ///
     /// # Errors
-    /// [`TileFileError`] for other bytes.
-    pub fn decode(bytes: &[u8], bake: &[u8; 32], tile: u32) -> Result<Self, TileFileError> {
+    /// [`TileFileError`] if the bytes are not the file of this tile.
+    pub fn decode(bytes: &[u8], bake: &[u8; 32], tile: TileIndex) -> Result<Self, TileFileError> {
         if !bytes.starts_with(MAGIC) {
             return Err(TileFileError::Foreign);
         }
@@ -75,7 +79,7 @@ impl TileFile {
         };
         let found = Self {
             bake: *own,
-            tile: u32::from_le_bytes(*number),
+            tile: TileIndex(u32::from_le_bytes(*number)),
             samples: u64::from_le_bytes(*samples),
             output: output.to_vec(),
         };
@@ -101,38 +105,38 @@ mod tests {
     fn file() -> TileFile {
         TileFile {
             bake: [7; 32],
-            tile: 3,
+            tile: TileIndex(3),
             samples: 99,
             output: b"output".to_vec(),
         }
     }
 
     #[test]
-    fn files_come_back_and_belong_to_one_tile_of_one_bake() {
+    fn tile_file_round_trips_for_one_tile_of_one_bake() {
         let bytes = file().encode();
-        assert_eq!(TileFile::decode(&bytes, &[7; 32], 3), Ok(file()));
+        assert_eq!(TileFile::decode(&bytes, &[7; 32], TileIndex(3)), Ok(file()));
         assert_eq!(
-            TileFile::decode(&bytes, &[8; 32], 3),
+            TileFile::decode(&bytes, &[8; 32], TileIndex(3)),
             Err(TileFileError::OtherBake)
         );
         assert_eq!(
-            TileFile::decode(&bytes, &[7; 32], 4),
-            Err(TileFileError::OtherTile(3))
+            TileFile::decode(&bytes, &[7; 32], TileIndex(4)),
+            Err(TileFileError::OtherTile(TileIndex(3)))
         );
     }
 
     #[test]
-    fn every_flipped_bit_and_every_cut_is_found() {
+    fn flipped_bits_and_cuts_are_detected() {
         let bytes = file().encode();
         for at in 0..bytes.len() {
             let mut flipped = bytes.clone();
             flipped[at] ^= 1;
             assert!(
-                TileFile::decode(&flipped, &[7; 32], 3).is_err(),
+                TileFile::decode(&flipped, &[7; 32], TileIndex(3)).is_err(),
                 "byte {at}"
             );
             assert!(
-                TileFile::decode(&bytes[..at], &[7; 32], 3).is_err(),
+                TileFile::decode(&bytes[..at], &[7; 32], TileIndex(3)).is_err(),
                 "{at} bytes"
             );
         }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sightline_certificate::checker::Kinds;
 use sightline_certificate::{Sample, VerifyError};
 use sightline_model::{MethodName, NamedValue as _};
+use sightline_viewcells::CellIndex;
 
 pub use self::verdict::{CertificateReport, HiddenReport, Rejection, Verdict};
 use crate::error::Error;
@@ -17,7 +18,7 @@ use crate::progress::Counter;
 use crate::result::NamedResult;
 use crate::scene::{LoadOptions, SceneSource, read_scene_of};
 
-/// The options of a verification, which `sightline verify` has as well.
+/// The options of a verification, which correspond to the options of `sightline verify`.
 ///
 /// ```
 /// use sightline::VerifyOptions;
@@ -28,16 +29,16 @@ use crate::scene::{LoadOptions, SceneSource, read_scene_of};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VerifyOptions {
-    /// The options of reading the scene. Default: the options of the bake.
+    /// The options for reading the scene. Default: the options of the bake.
     pub scene: LoadOptions,
     /// The number of random pairs of a cell and a triangle whose claims are checked. Default: all claims.
     pub sample: Option<u64>,
-    /// The seed of the sample.
+    /// The seed of the sample. Default: 1.
     pub seed: u64,
 }
 
 impl Default for VerifyOptions {
-    /// Returns options for all claims, with the seed 1 for samples.
+    /// Returns the default options: all claims, and the seed 1 for samples.
     fn default() -> Self {
         Self {
             scene: LoadOptions::default(),
@@ -47,9 +48,9 @@ impl Default for VerifyOptions {
     }
 }
 
-/// Verifies a result against its scene: every witness and every certificate, with a checker that shares no
-/// code with the bake. A result of the method portals has no certificates; with a sample, exact queries check
-/// the pairs that it calls hidden.
+/// Verifies a result against its scene. A checker that shares no code with the bake checks every witness and
+/// every certificate. A result of the method portals has no certificates: with a sample, exact queries check
+/// the pairs that the result calls hidden.
 ///
 /// ```no_run
 /// use sightline::{NamedResult, SceneSource, Silent, VerifyOptions};
@@ -64,8 +65,8 @@ impl Default for VerifyOptions {
 /// ```
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for a result without certificates and for another scene, or
-/// [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Input`] if the result has no certificates or the scene is not the scene of the result,
+/// or [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn verify(
     source: &SceneSource,
     result: NamedResult<'_>,
@@ -77,8 +78,8 @@ pub fn verify(
     let scene = read_scene_of(source, &options.scene, result, observer)?;
     if !scene.sides().are_both() {
         return Err(Error::input(format!(
-            "back faces of {} are culled for {}, and certificates are about triangles that are seen from \
-             both sides; verify a result of a bake without --cull-back-faces",
+            "back faces of {} are culled for {}, but certificates use both sides of triangles; \
+             verify a result of a bake without --cull-back-faces",
             source.path().display(),
             name.display()
         )));
@@ -86,16 +87,16 @@ pub fn verify(
     if pvs.method() == MethodName::Portals.name() {
         let Some(wanted) = options.sample else {
             return Err(Error::input(format!(
-                "{} has no certificates: portals prove what they hide while they look. --sample N asks exact \
-                 queries about N pairs that are called hidden",
+                "{} has no certificates, because results of --method portals contain no proofs. \
+                 --sample N runs exact queries for N pairs that the result calls hidden",
                 name.display()
             ))
             .about("sample"));
         };
-        return hidden::verify(result, &scene, (wanted, options.seed), observer);
+        return hidden::verify(result, &scene, wanted, options.seed, observer);
     }
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
-    // The digest of the scene, which the result names, covers the kinds.
+    // The digest of the scene in the result covers the kinds.
     let (blocks, shows): (Vec<bool>, Vec<bool>) = scene
         .kinds()
         .by_triangle()
@@ -125,9 +126,11 @@ pub fn verify(
             pvs,
             options.sample.map(|pairs| (pairs, options.seed)),
         ))),
-        Err(VerifyError::Refused(refused)) => {
-            Ok(Verdict::rejected(refused.cell, &refused.reason, name))
-        }
+        Err(VerifyError::Refused(refused)) => Ok(Verdict::rejected(
+            refused.cell.map(CellIndex),
+            &refused.reason,
+            name,
+        )),
         Err(VerifyError::Cancelled { verified, cells }) => Err(Error::cancelled(format!(
             "interrupted; {verified} of {cells} cells verified so far, all accepted"
         ))),

@@ -1,4 +1,4 @@
-//! The outcome of a verification, as a document and in words.
+//! The outcome of a verification, as a document and as text.
 
 use std::fmt;
 use std::path::Path;
@@ -6,11 +6,12 @@ use std::path::Path;
 use serde::Serialize;
 use sightline_certificate::Report;
 use sightline_pvs::Pvs;
+use sightline_viewcells::CellIndex;
 
 use crate::words::plural;
 
-/// The outcome of a verification. Serialised, it is the document that `sightline verify --json` prints;
-/// displayed, it is the text of the command.
+/// The outcome of a verification. Its serialisation is the document that `sightline verify --json` prints.
+/// Its display is the text of the command.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Verdict {
@@ -25,19 +26,20 @@ pub enum Verdict {
 /// A claim that does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Rejection {
-    /// False.
+    /// False: the result is not accepted.
     pub accepted: bool,
-    /// The cell of the claim; `None` for a claim about the whole result.
+    /// The cell of the claim. `None` if the claim is about the whole result.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub cell: Option<u32>,
-    /// The reason.
+    pub cell: Option<CellIndex>,
+    /// The reason why the claim does not hold.
     pub reason: String,
-    /// The name of the result.
+    /// The path of the result, for the display.
     #[serde(skip)]
     pub result: String,
 }
 
-/// The numbers of checked claims.
+/// The outcome of a check that rejected no claim: the method, the numbers of all claims and of the checked
+/// claims, and the sample.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(
     missing_docs,
@@ -70,13 +72,13 @@ pub struct CertificateReport {
 }
 
 impl Verdict {
-    /// Returns true if every checked claim holds.
+    /// Returns true if all checked claims hold.
     pub fn is_accepted(&self) -> bool {
         !matches!(self, Self::Rejected(_))
     }
 
-    /// Creates the verdict of a claim about a cell, or about the whole result, that does not hold.
-    pub(super) fn rejected(cell: Option<u32>, reason: &str, result: &Path) -> Self {
+    /// Creates the verdict for a claim that does not hold, about a cell or about the whole result.
+    pub(super) fn rejected(cell: Option<CellIndex>, reason: &str, result: &Path) -> Self {
         Self::Rejected(Rejection {
             accepted: false,
             cell,
@@ -112,7 +114,7 @@ impl fmt::Display for Rejection {
 /// The outcome of a check of pairs that a result of portals calls hidden.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct HiddenReport {
-    /// True.
+    /// True: the result is accepted.
     pub accepted: bool,
     /// The method of the result.
     pub method: String,
@@ -124,7 +126,7 @@ pub struct HiddenReport {
     pub hidden: u64,
     /// The number of pairs about which exact queries end undecided.
     pub undecided: u64,
-    /// True.
+    /// True: exact queries check only a sample of the pairs.
     pub sampled: bool,
 }
 
@@ -132,7 +134,7 @@ impl fmt::Display for HiddenReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "accepted: of {} called hidden, exact queries say the same of {}; {} are undecided",
+            "accepted: of {} that the result calls hidden, exact queries confirm {}; {} are undecided",
             plural(self.pairs as usize, "pair"),
             self.hidden,
             self.undecided
@@ -178,8 +180,8 @@ impl fmt::Display for CertificateReport {
             f,
             "accepted{}: {} pairs of cell and triangle in {} cells\n\
              visible: {} with a witness ({} checked), {} meet their cell ({} checked)\n\
-             hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a \
-             polygon; {} certificates ({} checked), {} bytes with the witnesses\n\
+             hidden: {} by their own closed surface, {} in hidden boxes, {} by a proof for \
+             the triangle or a polygon around it; {} certificates ({} checked), {} bytes with the witnesses\n\
              neither: {} undecided, {} without area{}{}",
             self.sample
                 .map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
@@ -200,13 +202,14 @@ impl fmt::Display for CertificateReport {
             match self.cells_not_reached {
                 0 => String::new(),
                 n => format!(
-                    "\nno viewpoint is in {n} of the cells, and nothing is claimed about what they see"
+                    "\n{n} of the cells contain no viewpoint, so the result makes no claim about them"
                 ),
             },
             match self.cell_pairs_hidden {
                 0 => String::new(),
                 apart => format!(
-                    "\ncells: {apart} pairs do not see each other, by {} hidden boxes ({} checked)",
+                    "\ncells: {apart} pairs of cells do not see each other, proved by {} hidden boxes ({} \
+                     checked)",
                     self.cell_boxes, self.cell_boxes_checked
                 ),
             },

@@ -1,4 +1,4 @@
-//! Viewpoints: from the options of a job to the marks of its cells.
+//! Viewpoints: the conversion from the options of a job to the marks of its cells.
 
 mod walls;
 
@@ -7,13 +7,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_model::{BoxCells, TracerChoice, Up, Viewpoints};
-use sightline_portals::{Reached, along_walls};
+use sightline_portals::{RegionPlanes, along_walls};
 use sightline_scene::{Aabb, Scene, overlap};
 use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata};
 use sightline_viewcells::{Division, Lattice, Layout, PartMask, Plan, Region};
-use sightline_viewpoints::reach::Tracing;
-use sightline_viewpoints::{Parts, ViewpointsError, both, boxes, mark_where, mesh, points, reach};
+use sightline_viewpoints::reach::ReachScene;
+use sightline_viewpoints::{
+    PartPlanes, ViewpointsError, both, boxes, mark_where, mesh, points, reach,
+};
 
 pub use self::walls::{Walls, refine, region_of_result, walls_of};
 use crate::error::Error;
@@ -31,7 +33,8 @@ fn read_mesh(path: &Path, observer: &dyn Observer) -> Result<Arc<Scene>, Error> 
 }
 
 impl ViewpointOptions {
-    /// The box that the cells divide: around all boxes, else around the mesh, else the scene's bounds.
+    /// Returns the box that the cells divide: the box around all view boxes, without view boxes the box
+    /// around the mesh, and without a mesh the scene's bounds.
     pub(crate) fn bounds(&self, scene: &Scene, observer: &dyn Observer) -> Result<Aabb, Error> {
         if let Some(first) = self.view_box.first() {
             return Ok(self.view_box.iter().fold(*first, |all, b| all.union(*b)));
@@ -53,7 +56,7 @@ impl ViewpointOptions {
         }
     }
 
-    /// Whether the flags leave out a part of the view box.
+    /// Returns true if the options exclude a part of the view box.
     pub(crate) fn restrict(&self) -> bool {
         self.view_box.len() > 1
             || self.view_mesh.is_some()
@@ -61,7 +64,8 @@ impl ViewpointOptions {
             || !self.reachable_from.is_empty()
     }
 
-    /// The boxes along walls, at most `most` of them, and those that hold viewpoints; `None` for all of them.
+    /// Returns at most `most` boxes along walls. With --reachable-from, only boxes that contain viewpoints
+    /// are marked as reached.
     pub(crate) fn along_walls(
         &self,
         scene: &Arc<Scene>,
@@ -79,8 +83,8 @@ impl ViewpointOptions {
         let mut region = None;
         if !self.reachable_from.is_empty() {
             let (cells, lattice) = whole(view_box)?;
-            let parts = Parts::new(&lattice, cells);
-            self.with_tracer((scene, &parts, cells), observer, |tracing| {
+            let parts = PartPlanes::new(&lattice, cells);
+            self.with_tracer(scene, &parts, cells, observer, |tracing| {
                 reach::check(tracing, &self.reachable_from)
                     .map(drop)
                     .map_err(of_seeds)
@@ -106,10 +110,10 @@ impl ViewpointOptions {
         }
         let reached = region
             .as_ref()
-            .map(|region| Reached::new(region, scene))
+            .map(|region| RegionPlanes::new(region, scene))
             .transpose();
         let reached = reached.map_err(Error::internal)?;
-        let is_used = |of: Aabb| reached.as_ref().is_none_or(|reached| reached.meets(of));
+        let is_used = |part: Aabb| reached.as_ref().is_none_or(|reached| reached.meets(part));
         let tree = along_walls(scene, view_box, most, &is_used);
         let boxes = tree.boxes();
         let usage = |e: &dyn std::fmt::Display| Error::usage(e.to_string());
@@ -131,7 +135,8 @@ impl ViewpointOptions {
         }
         if marks.reached() == 0 {
             return Err(Error::input(
-                "no viewpoint is left: what --reachable-from encloses shares no part of the view box"
+                "the space that walls enclose around the points of --reachable-from is outside the view \
+                 box, so no box contains a viewpoint; enlarge --view-box"
                     .to_owned(),
             ));
         }
@@ -148,19 +153,20 @@ impl ViewpointOptions {
             .map_err(|e| usage(&e))
     }
 
-    /// Finds where in the cells of a grid viewpoints can be. With `walls`, they are only in the region that
-    /// walls enclose around the points of --reachable-from, if they do.
+    /// Computes the parts of the cells of a grid that contain viewpoints. If `walls` is true and walls
+    /// enclose the points of --reachable-from, viewpoints are only in the enclosed region.
     pub(crate) fn viewpoints(
         &self,
         scene: &Arc<Scene>,
-        (cells, lattice): ([u32; 3], &Lattice),
+        cells: [u32; 3],
+        lattice: &Lattice,
         walls: bool,
         observer: &dyn Observer,
     ) -> Result<Viewpoints, Error> {
         if !self.restrict() {
             return Ok(Viewpoints::Everywhere);
         }
-        let parts = Parts::new(lattice, cells);
+        let parts = PartPlanes::new(lattice, cells);
         let mut region = None;
         let mut all: Option<PartMask> = None;
         let mut restrict = |marks: PartMask| {
@@ -180,10 +186,9 @@ impl ViewpointOptions {
             });
         }
         if self.viewpoints.is_some() || !self.reachable_from.is_empty() {
-            let (traced, found) =
-                self.with_tracer((scene, &parts, cells), observer, |tracing| {
-                    self.traced(tracing, (&parts, cells), walls, observer)
-                })?;
+            let (traced, found) = self.with_tracer(scene, &parts, cells, observer, |tracing| {
+                self.traced(tracing, &parts, cells, walls, observer)
+            })?;
             traced.into_iter().for_each(&mut restrict);
             region = found;
         }
@@ -192,8 +197,8 @@ impl ViewpointOptions {
         };
         if marks.reached() == 0 {
             return Err(Error::scene(
-                "no viewpoint is left: what the flags allow shares no part of the view box; give fewer of \
-                 --view-box, --view-mesh, --viewpoints and --reachable-from",
+                "the options allow no viewpoint in the view box; give fewer of --view-box, --view-mesh, \
+                 --viewpoints and --reachable-from",
             ));
         }
         let parts = cells.map(u64::from).iter().product::<u64>() * 64;
@@ -209,12 +214,14 @@ impl ViewpointOptions {
         Ok(Viewpoints::new(marks, region))
     }
 
-    /// Calls `with` with a tracer of free segments.
+    /// Calls `with` with the scene, its parts of cells, and a tracer of free segments.
     fn with_tracer<T>(
         &self,
-        (scene, parts, cells): (&Arc<Scene>, &Parts, [u32; 3]),
+        scene: &Arc<Scene>,
+        parts: &PartPlanes,
+        cells: [u32; 3],
         observer: &dyn Observer,
-        with: impl FnOnce(&Tracing<'_>) -> Result<T, Error>,
+        with: impl FnOnce(&ReachScene<'_>) -> Result<T, Error>,
     ) -> Result<T, Error> {
         let spec = CubeSpec {
             resolution: 256,
@@ -225,7 +232,7 @@ impl ViewpointOptions {
         let prepared = PreparedScene::new(Arc::clone(scene))?;
         let sight = SightLineTracer::new(&*backend, prepared.traced()).map_err(Error::internal)?;
         let step = least_step(scene.bounds());
-        with(&Tracing {
+        with(&ReachScene {
             scene,
             sight: &sight,
             parts,
@@ -237,8 +244,9 @@ impl ViewpointOptions {
     /// Computes the marks that need a tracer, and the region that walls enclose.
     fn traced(
         &self,
-        tracing: &Tracing<'_>,
-        (parts, cells): (&Parts, [u32; 3]),
+        tracing: &ReachScene<'_>,
+        parts: &PartPlanes,
+        cells: [u32; 3],
         walls: bool,
         observer: &dyn Observer,
     ) -> Result<(Vec<PartMask>, Option<Region>), Error> {
@@ -253,7 +261,7 @@ impl ViewpointOptions {
                 warn(
                     observer,
                     format!(
-                        "{}: {outside} of {} are outside the view box and left out",
+                        "{}: {outside} of {} are outside the view box and are skipped",
                         file.display(),
                         plural(all.len(), "viewpoint")
                     ),
@@ -267,8 +275,8 @@ impl ViewpointOptions {
             if !walls {
                 note(
                     observer,
-                    "note: certificates and visibility cubes are about whole cells, so viewpoints of \
-                     --reachable-from are in parts of cells that rays find, not between walls",
+                    "note: certificates and visibility cubes do not support regions between walls, so \
+                     viewpoints of --reachable-from are in the parts of cells that rays reach",
                 );
             } else {
                 let walls = Walls::around(scene, &self.reachable_from, observer)?;
@@ -277,8 +285,8 @@ impl ViewpointOptions {
             }
             out.push(match &region {
                 Some(region) => {
-                    let reached = Reached::new(region, scene).map_err(Error::internal)?;
-                    mark_where(parts, cells, |of| reached.meets(of))
+                    let reached = RegionPlanes::new(region, scene).map_err(Error::internal)?;
+                    mark_where(parts, cells, |part| reached.meets(part))
                 }
                 None => {
                     let counter = Counter::new("parts of cells reached", observer);
@@ -293,18 +301,20 @@ impl ViewpointOptions {
         Ok((out, region))
     }
 
-    /// Warns of view boxes that hold nothing of the scene.
+    /// Prints a warning for each view box that contains no part of the scene.
     pub(crate) fn warn_of_empty(&self, scene: &Scene, observer: &dyn Observer) {
-        for of in &self.view_box {
+        for view_box in &self.view_box {
             let bounds = scene.bounds();
-            let holds = |t| overlap::triangle_touches_box(t, of);
-            if (0..3).all(|a| of.min[a] <= of.max[a]) && !scene.triangles().iter().any(holds) {
+            let holds = |t| overlap::triangle_touches_box(t, view_box);
+            if (0..3).all(|a| view_box.min[a] <= view_box.max[a])
+                && !scene.triangles().iter().any(holds)
+            {
                 warn(
                     observer,
                     format!(
                         "the view box {} to {} holds nothing of the scene, which extends from {} to {}; \
-                     is it in the scene's units and axes?",
-                        of.min, of.max, bounds.min, bounds.max
+                         give the box in the scene's units and axes",
+                        view_box.min, view_box.max, bounds.min, bounds.max
                     ),
                 );
             }
@@ -312,7 +322,7 @@ impl ViewpointOptions {
     }
 }
 
-/// An error about the points of --reachable-from.
+/// Creates an error about the points of --reachable-from.
 fn of_seeds(e: ViewpointsError) -> Error {
     match e {
         ViewpointsError::Backend(e) => Error::internal(e),
@@ -320,7 +330,7 @@ fn of_seeds(e: ViewpointsError) -> Error {
     }
 }
 
-/// A view box as a grid of one cell.
+/// Returns a view box as a grid of one cell.
 fn whole(view_box: Aabb) -> Result<([u32; 3], Lattice), Error> {
     let cells = [1; 3];
     let lattice = Division::Grid(cells).lattice(view_box.min, view_box.max);
@@ -329,7 +339,7 @@ fn whole(view_box: Aabb) -> Result<([u32; 3], Lattice), Error> {
         .map_err(|e| Error::usage(e.to_string()))
 }
 
-/// A number of boxes in words.
+/// Formats a number of boxes.
 fn plural_boxes(boxes: usize) -> String {
     if boxes == 1 {
         "1 box".to_owned()
@@ -339,10 +349,11 @@ fn plural_boxes(boxes: usize) -> String {
 }
 
 /// Reads a file of viewpoints.
-pub fn read_viewpoints(path: &Path) -> Result<Vec<points::Weighted>, Error> {
+pub fn read_viewpoints(path: &Path) -> Result<Vec<points::WeightedViewpoint>, Error> {
     let file = std::fs::File::open(path).map_err(|e| {
         Error::input(format!(
-            "{} cannot be read: {e}; give a file with a viewpoint `x y z` or `x y z weight` per line",
+            "{} cannot be read: {e}; give a file with a viewpoint `x y z` or `x y z weight` per \
+             line",
             path.display()
         ))
     })?;

@@ -1,10 +1,10 @@
-//! The walls around the points of --reachable-from: the region that they enclose, or the way out of it.
+//! The walls around the points of --reachable-from: the enclosed region, or the way out.
 
 use std::time::{Duration, Instant};
 
 use sightline_model::job::json::find_field;
 use sightline_portals::{
-    Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of,
+    Enclosure, EnclosureLimits, Face, LeafId, RegionPlanes, Tree, enclose, reached, region_of,
 };
 use sightline_scene::Scene;
 use sightline_viewcells::Region;
@@ -14,24 +14,24 @@ use crate::observer::{Observer, note};
 use crate::result::NamedResult;
 use crate::words::plural;
 
-/// Time between two lines about the search.
+/// The time between two notes about the search.
 const TELL_EVERY: Duration = Duration::from_secs(5);
 
-/// What is known about the walls around some points.
+/// The division of a scene along its walls, and the space that some points reach in it.
 pub struct Walls {
     /// The scene divided along its walls.
     pub tree: Tree,
     /// The leaves that the points reach, ascending.
     pub reached: Vec<LeafId>,
-    /// Whether the walls enclose the points.
+    /// The state of the enclosure: closed, open or not known.
     pub enclosure: Enclosure,
 }
 
 impl Walls {
-    /// Divides a scene until it is known whether walls enclose the points.
+    /// Divides a scene until the enclosure of the points is known.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Cancelled`].
+    /// [`crate::ErrorKind::Cancelled`] if the observer cancels.
     pub fn around(
         scene: &Scene,
         points: &[[f32; 3]],
@@ -47,12 +47,12 @@ impl Walls {
         })
     }
 
-    /// Whether a way leads out.
+    /// Returns true if a way out exists.
     pub fn is_open(&self) -> bool {
         matches!(self.enclosure, Enclosure::Leak(..))
     }
 
-    /// Returns the enclosed region; `None` when there is a way out, or when it is not known.
+    /// Returns the enclosed region, or `None` if a way out exists or the enclosure is not known.
     pub fn region(&self) -> Result<Option<Region>, Error> {
         if self.enclosure != Enclosure::Closed {
             return Ok(None);
@@ -62,7 +62,7 @@ impl Walls {
             .map_err(Error::internal)
     }
 
-    /// What was found, in a sentence.
+    /// Formats the state of the enclosure in a sentence.
     pub fn in_words(&self) -> String {
         let leaves = plural(self.reached.len(), "convex part");
         match &self.enclosure {
@@ -87,14 +87,14 @@ impl Walls {
                 )
             }
             Enclosure::Unknown | Enclosure::Stopped => format!(
-                "it is not known whether walls enclose the points of --reachable-from: the scene has too \
-                 many, and the search ended after {} parts of space",
+                "it is not known if walls enclose the points of --reachable-from: the scene has too many \
+                 walls, and the search ended after {} parts of space",
                 self.tree.len()
             ),
         }
     }
 
-    /// The narrowest opening of the way out that was found.
+    /// Returns the narrowest opening of the way out, or `None` without a way out.
     pub fn narrowest(&self) -> Option<&Face> {
         let Enclosure::Leak(_, portals) = &self.enclosure else {
             return None;
@@ -104,22 +104,25 @@ impl Walls {
     }
 }
 
-/// Divides a tree further, until it is known whether walls enclose the points.
+/// Divides a tree further, until the enclosure of the points is known.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Cancelled`].
+/// [`crate::ErrorKind::Cancelled`] if the observer cancels.
 pub fn refine(
     tree: &mut Tree,
     points: &[[f32; 3]],
     observer: &dyn Observer,
 ) -> Result<Enclosure, Error> {
-    let limits = Limits::default();
+    let limits = EnclosureLimits::default();
     let mut told = Instant::now();
     let enclosure = enclose(tree, points, limits, &mut |leaves| {
         if told.elapsed() >= TELL_EVERY {
             told = Instant::now();
             let most = limits.leaves;
-            let text = format!("looking for walls: {leaves} parts of space so far, at most {most}");
+            let text = format!(
+                "searching walls: divided the scene into {leaves} parts of space so far, \
+             at most {most}"
+            );
             note(observer, text);
         }
         !observer.is_cancelled()
@@ -130,7 +133,7 @@ pub fn refine(
     }
 }
 
-/// A number with few digits; a very small one with its power of ten.
+/// Formats a number with few digits, or a very small number with its power of ten.
 fn short(x: f64) -> String {
     if x != 0.0 && x.abs() < 1e-3 {
         return format!("{x:.2e}");
@@ -139,23 +142,27 @@ fn short(x: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// Returns the scene of a result whose cells are open boxes, of which walls in faces block.
+/// Returns `scene` if the cells of the result are boxes along walls, whose faces contain blocking walls.
+/// Returns `None` for other cells.
 pub fn walls_of<'a>(result: NamedResult<'_>, scene: &'a Scene) -> Option<&'a Scene> {
     find_field(&result.info()["spec"], "boxes")
         .is_some()
         .then_some(scene)
 }
 
-/// Returns the region that holds all viewpoints of a result, with the planes of its scene.
+/// Returns the region of all viewpoints of a result, with the planes of its scene.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Input`] for a region that cannot be decoded.
-pub fn region_of_result(result: NamedResult<'_>, scene: &Scene) -> Result<Option<Reached>, Error> {
+/// [`crate::ErrorKind::Input`] if the region cannot be decoded.
+pub fn region_of_result(
+    result: NamedResult<'_>,
+    scene: &Scene,
+) -> Result<Option<RegionPlanes>, Error> {
     let Some(bytes) = result.pvs.region() else {
         return Ok(None);
     };
     let region = Region::decode(bytes).map_err(|e| result.error(e))?;
-    Reached::new(&region, scene)
+    RegionPlanes::new(&region, scene)
         .map(Some)
         .map_err(|e| result.error(e))
 }

@@ -1,5 +1,7 @@
-//! An S3-compatible server on loopback, whose buckets are folders and whose objects are files: s3s-fs, with
-//! keys that are checked. It can be killed and started again on the same port, with the objects it had.
+//! An S3-compatible server on loopback, based on s3s-fs.
+//!
+//! Buckets are folders, objects are files, and the server checks its keys. It can be killed and started again
+//! on the same port with the same objects.
 
 #![allow(clippy::unwrap_used, reason = "a helper of tests")]
 
@@ -16,12 +18,12 @@ use s3s_fs::FileSystem;
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::runtime::Runtime;
 
-/// Name of the key that the server accepts.
+/// The name of the key that the server accepts.
 pub const KEY: &str = "test-key";
-/// The secret of [`KEY`]. No log may have it.
+/// The secret of [`KEY`]. No log may contain it.
 pub const SECRET: &str = "7Wf0qN-secret-of-tests-3pLm";
 
-/// A server. Dropping it kills it.
+/// A running server, which is killed when it is dropped.
 pub struct S3Server {
     runtime: Option<Runtime>,
     address: SocketAddr,
@@ -29,12 +31,12 @@ pub struct S3Server {
 }
 
 impl S3Server {
-    /// Starts a server on a free port, with its objects below `root` and one empty bucket of this name.
+    /// Starts a server on a free port, with its objects below `root` and one empty bucket with this name.
     pub fn start(root: &Path, bucket: &str) -> Self {
         Self::start_at(root, bucket, (Ipv4Addr::LOCALHOST, 0).into())
     }
 
-    /// The same at an address of the caller's choice; a bucket that is there keeps its objects.
+    /// Starts a server at `address`. An existing bucket keeps its objects.
     pub fn start_at(root: &Path, bucket: &str, address: SocketAddr) -> Self {
         fs::create_dir_all(root.join(bucket)).unwrap();
         Self::at(root, address)
@@ -48,7 +50,7 @@ impl S3Server {
         let runtime = runtime.unwrap();
         let listener = runtime.block_on(async {
             let socket = TcpSocket::new_v4().unwrap();
-            // Connections of a server that was killed may still linger on the port.
+            // Connections of a killed server may still exist on the port.
             socket.set_reuseaddr(true).unwrap();
             socket.bind(address).unwrap();
             socket.listen(64).unwrap()
@@ -62,31 +64,31 @@ impl S3Server {
         }
     }
 
-    /// Where it listens, for `?endpoint=`.
+    /// Returns the address of the server, for `?endpoint=`.
     pub fn endpoint(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// The address alone.
+    /// Returns the socket address of the server.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Ends it at once: connections break off, whatever is under way.
+    /// Ends the server immediately. All connections break off.
     pub fn kill(&mut self) {
         if let Some(runtime) = self.runtime.take() {
-            // Until its port is free.
+            // The call waits until the port is free.
             runtime.shutdown_timeout(Duration::from_secs(5));
         }
     }
 
-    /// Starts it again after [`S3Server::kill`], on the same port with the same objects.
+    /// Starts the server again after [`S3Server::kill`], on the same port with the same objects.
     pub fn start_again(&mut self) {
         self.kill();
         *self = Self::at(&self.root.clone(), self.address);
     }
 
-    /// The files of the objects of a bucket whose key has this ending.
+    /// Returns the files of a bucket's objects whose keys end with `ending`.
     pub fn objects(&self, bucket: &str, ending: &str) -> Vec<PathBuf> {
         let (mut open, mut found) = (vec![self.root.join(bucket)], Vec::new());
         while let Some(folder) = open.pop() {
@@ -102,7 +104,7 @@ impl S3Server {
         found
     }
 
-    /// Parts of uploads that were neither completed nor aborted.
+    /// Returns the number of uploaded parts of uploads that were neither completed nor aborted.
     pub fn open_parts(&self) -> usize {
         let names = fs::read_dir(&self.root)
             .unwrap()
@@ -128,7 +130,7 @@ async fn serve(listener: TcpListener, root: PathBuf) {
         let connection = server
             .serve_connection(TokioIo::new(stream), service.clone())
             .into_owned();
-        // Whoever breaks a connection off sees the error at its own end.
+        // A client that breaks a connection off sees the error itself.
         tokio::spawn(async move { drop(connection.await) });
     }
 }

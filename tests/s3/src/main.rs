@@ -1,4 +1,4 @@
-//! The server as a process of its own, for tests that stop it or cut it off:
+//! The S3 server as a separate process, for tests that stop it or cut it off.
 //!
 //! `sightline-test-s3 ADDRESS FOLDER BUCKET`
 //!

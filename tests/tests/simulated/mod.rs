@@ -1,4 +1,5 @@
-//! Workers that compute nothing: they take tiles and send outputs of random sets as fast as they can.
+//! Simulated workers, which do not compute: they lease tiles and send outputs of random sets as fast as they
+//! can.
 
 #![allow(
     clippy::unwrap_used,
@@ -9,7 +10,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use sightline_model::{CellSet, CellSets, Node, TileOutput, codec};
+use sightline_model::{CellSet, CellSets, SubtreeNode, TileOutput, codec};
 use sightline_proto::chunks::cut;
 use sightline_proto::v1;
 use sightline_proto::v1::coordinator_message::Message as Heard;
@@ -17,26 +18,26 @@ use sightline_proto::v1::worker_message::Message as Said;
 use sightline_proto::v1::workers_client::WorkersClient;
 use tokio_stream::StreamExt as _;
 
-/// What all workers share.
+/// The state that all workers share.
 #[derive(Default)]
 pub struct Work {
-    /// Triangles of the scene, of which each cell sees about half, drawn at random; 0 for empty sets.
+    /// The number of triangles of the scene. Each cell sees a random half of them. 0 for empty sets.
     pub triangles: u32,
-    /// Outputs that were taken.
+    /// The number of accepted outputs.
     pub done: AtomicU64,
-    /// Their bytes.
+    /// The size of the accepted outputs in bytes.
     pub bytes: AtomicU64,
-    /// Set when workers are to end.
+    /// True if the workers should end.
     pub over: AtomicBool,
 }
 
-/// The output of a tile of one cell, another one for each tile of each job.
+/// Encodes the output of a tile of one cell. The output differs for each tile of each job.
 fn output(work: &Work, lease: &v1::Lease) -> Vec<u8> {
     let mut state = lease.job << 32 | u64::from(lease.tile) | 1 << 63;
     let mut bits = 0;
     let visible = (0..work.triangles).filter(|id| {
         if id.is_multiple_of(64) {
-            // Marsaglia 2003, "Xorshift RNGs".
+            // The generator of Marsaglia 2003, "Xorshift RNGs".
             state ^= state << 13;
             state ^= state >> 7;
             state ^= state << 17;
@@ -50,23 +51,24 @@ fn output(work: &Work, lease: &v1::Lease) -> Vec<u8> {
         ..CellSet::default()
     };
     let sets = CellSets {
-        nodes: vec![Node::Cell],
+        nodes: vec![SubtreeNode::Cell],
         cells: vec![cell],
         ..CellSets::default()
     };
     codec::encode(&TileOutput::Cells(sets)).unwrap()
 }
 
-/// Takes and commits tiles of one cell until the work is over, or the coordinator ends the stream. A job may
-/// be cancelled or deleted while its tile is here; any other refusal is a failure.
+/// Leases and commits tiles of one cell until the work is over, or the coordinator ends the stream. A job may
+/// be cancelled or deleted while a worker has its tile; any other rejection is a failure.
 pub async fn work(url: &str, name: &str, work: &Work) {
-    work_with(url, (name, 0), work, &|_| ()).await;
+    work_with(url, name, 0, work, &|_| ()).await;
 }
 
-/// Does the work of [`work`] as a worker with an instance. `before` runs before each tile, with its number.
+/// Runs [`work`] as a worker with an instance number. `before` runs before each tile, with the tile's number.
 pub async fn work_with(
     url: &str,
-    (name, instance): (&str, u64),
+    name: &str,
+    instance: u64,
     work: &Work,
     before: &(dyn Fn(u32) + Sync),
 ) {
@@ -133,7 +135,7 @@ pub async fn work_with(
     }
 }
 
-/// Starts so many workers, each at one of the addresses.
+/// Starts the given number of workers, and distributes them over the addresses.
 pub fn start(
     runtime: &tokio::runtime::Runtime,
     urls: &[&str],

@@ -1,4 +1,4 @@
-//! What surrounds the state machine in a coordinator: streams, outputs, commands of the store, results.
+//! The simulated coordinator around the state machine: streams, outputs, commands of the store, results.
 
 use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
 use sightline_records::{
@@ -8,12 +8,14 @@ use sightline_records::{
 use sightline_store::StoreError;
 use sightline_store::untrusted_tiles;
 
-use super::parts::{Answer, Down, Happening, Refusal, Up, digest, output};
+use super::parts::{
+    CommitAnswer, CoordinatorMessage, Refusal, SimulatedEvent, WorkerMessage, digest, output,
+};
 use super::world::{TTL, World};
-use crate::{Effect, Event, Failure, Now, Scheduler, Settings, StoreCommand};
+use crate::{Admission, Effect, Event, Failure, Now, Right, Scheduler, Settings, StoreCommand};
 
 impl World {
-    /// Ends the coordinator, with everything that it has not finished.
+    /// Ends the coordinator and drops all its unfinished work.
     pub(super) fn stop_coordinator(&mut self) {
         self.scheduler = None;
         self.life += 1;
@@ -21,7 +23,7 @@ impl World {
         for stream in 0..self.streams.len() {
             if !self.streams[stream].closed {
                 self.streams[stream].closed = true;
-                self.after(1, Happening::DownBroken(stream));
+                self.after(1, SimulatedEvent::DownBroken(stream));
             }
         }
     }
@@ -57,19 +59,19 @@ impl World {
             self.tell(Event::TakenUp(Box::new(job)))?;
         }
         self.begin_faults();
-        self.after(1000, Happening::Tick(self.life));
+        self.after(1000, SimulatedEvent::Tick(self.life));
         Ok(())
     }
 
     /// Handles a message of a worker.
-    pub(super) fn hears(&mut self, s: usize, up: Up) -> Result<(), String> {
+    pub(super) fn hears(&mut self, s: usize, up: WorkerMessage) -> Result<(), String> {
         let number = self.streams[s].number;
         match (up, number) {
-            (Up::Hello(intro), _) => self.welcomes(s, intro),
-            (Up::Want(n), Some(w)) => self.tell(Event::Wanted(w, n)),
-            (Up::Drains, Some(w)) => self.tell(Event::Drains(w)),
-            (Up::Progress(p), Some(_)) => self.tell(Event::Progressed(p)),
-            (Up::Failed(lease, infrastructure), Some(w)) => {
+            (WorkerMessage::Hello(intro), _) => self.welcomes(s, intro),
+            (WorkerMessage::Want(n), Some(w)) => self.tell(Event::Wanted(w, n)),
+            (WorkerMessage::Drains, Some(w)) => self.tell(Event::Drains(w)),
+            (WorkerMessage::Progress(p), Some(_)) => self.tell(Event::Progressed(p)),
+            (WorkerMessage::Failed(lease, infrastructure), Some(w)) => {
                 let failure = Failure {
                     lease,
                     reason: "it failed".to_owned(),
@@ -97,64 +99,74 @@ impl World {
                     self.claimed
                         .extend(joined.kept.iter().map(|l| (l.job, l.tile)));
                     self.streams[s].number = Some(joined.worker);
-                    self.send_down(s, Down::Welcome(joined.kept));
+                    self.send_down(s, CoordinatorMessage::Welcome(joined.kept));
                 }
-                Effect::Joined(Err(_)) => self.send_down(s, Down::Refused),
+                Effect::Joined(Err(_)) => self.send_down(s, CoordinatorMessage::Refused),
                 effect => self.carry(effect)?,
             }
         }
         Ok(())
     }
 
-    pub(super) fn answer(&mut self, w: usize, life: u64, id: LeaseId, answer: Answer) {
-        // An answer may be lost; the worker then sends the output again.
+    pub(super) fn answer(&mut self, w: usize, life: u64, id: LeaseId, answer: CommitAnswer) {
+        // If the answer is lost, the worker sends the output again.
         let delay = self.delay();
         if self.faults_on() && self.one_in(10) {
-            self.after(delay + 1000, Happening::Deliver(w, life, id));
+            self.after(delay + 1000, SimulatedEvent::Deliver(w, life, id));
         } else {
-            self.after(delay, Happening::Answered(w, life, id, answer));
+            self.after(delay, SimulatedEvent::Answered(w, life, id, answer));
         }
     }
 
     /// Checks an output that arrives and commits it without the scheduler, as a coordinator does.
     pub(super) fn arrives(&mut self, w: usize, life: u64, lease: Lease) -> Result<(), String> {
         let Some(scheduler) = &self.scheduler else {
-            self.after(1000, Happening::Deliver(w, life, lease.id));
+            self.after(1000, SimulatedEvent::Deliver(w, life, lease.id));
             return Ok(());
         };
-        let Some(admitted) = scheduler.admit(&lease).ok().filter(|a| a.counts) else {
-            self.answer(w, life, lease.id, Answer::NotNeeded);
+        let Some(admission) = scheduler.admit(&lease).ok().filter(Admission::counts) else {
+            self.answer(w, life, lease.id, CommitAnswer::NotNeeded);
             return Ok(());
         };
         if self.disk_full {
-            self.answer(w, life, lease.id, Answer::Later);
+            self.answer(w, life, lease.id, CommitAnswer::Later);
             return self.tell(Event::DiskFull(lease));
         }
         let broken = self.workers[w].broken && self.one_in(3);
         let bytes = output(lease.job, lease.tile, broken);
         let offered = digest(&bytes);
-        if admitted.checks {
-            let wait = self.below(30);
-            let events = vec![Event::Checked {
-                lease,
-                digest: offered,
-            }];
-            self.after(
-                wait,
-                Happening::Durable(self.life, w, life, events, lease.id, Answer::Kept),
-            );
-            return Ok(());
-        }
+        let (worker, helpers) = match admission.right {
+            Right::Keep { worker, helpers } => (worker, helpers),
+            Right::Compare { .. } | Right::Stale => {
+                let wait = self.below(30);
+                let events = vec![Event::Checked {
+                    lease,
+                    digest: offered,
+                }];
+                self.after(
+                    wait,
+                    SimulatedEvent::Durable(
+                        self.life,
+                        w,
+                        life,
+                        events,
+                        lease.id,
+                        CommitAnswer::Kept,
+                    ),
+                );
+                return Ok(());
+            }
+        };
         if !self.keep(&bytes) {
-            self.answer(w, life, lease.id, Answer::Later);
+            self.answer(w, life, lease.id, CommitAnswer::Later);
             return self.tell(Event::DiskFull(lease));
         }
-        let helpers = admitted.helpers.into_iter().take(MAX_HELPERS).collect();
+        let helpers = helpers.into_iter().take(MAX_HELPERS).collect();
         let stats = TileStats {
             samples: 3,
             cells: 1,
             millis: 100,
-            worker: admitted.worker,
+            worker,
             helpers,
             at_ms: self.now,
             ..TileStats::default()
@@ -165,22 +177,24 @@ impl World {
             stats: stats.clone(),
         };
         let (digest, answer) = match self.store().commit_tile(lease.job, lease.tile, result) {
-            Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => (offered, Answer::Kept),
-            Ok(CommitOutcome::Conflict { kept, .. }) => (kept, Answer::Differs),
+            Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => {
+                (offered, CommitAnswer::Kept)
+            }
+            Ok(CommitOutcome::Conflict { kept, .. }) => (kept, CommitAnswer::Differs),
             Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
-                self.answer(w, life, lease.id, Answer::NotNeeded);
+                self.answer(w, life, lease.id, CommitAnswer::NotNeeded);
                 return Ok(());
             }
             Err(e) => {
                 if self.refused(&e)? == Refusal::Later {
                     self.tell(Event::DiskFull(lease))?;
                 }
-                self.answer(w, life, lease.id, Answer::Later);
+                self.answer(w, life, lease.id, CommitAnswer::Later);
                 return Ok(());
             }
         };
         let mut events = Vec::new();
-        if let Answer::Kept = answer {
+        if let CommitAnswer::Kept = answer {
             let before = self
                 .acknowledged
                 .insert((lease.job, lease.tile), bytes.clone());
@@ -194,7 +208,7 @@ impl World {
             });
         }
         let wait = self.below(30);
-        let stats = if let Answer::Kept = answer {
+        let stats = if let CommitAnswer::Kept = answer {
             stats
         } else {
             TileStats::default()
@@ -206,26 +220,26 @@ impl World {
         });
         self.after(
             wait,
-            Happening::Durable(self.life, w, life, events, lease.id, answer),
+            SimulatedEvent::Durable(self.life, w, life, events, lease.id, answer),
         );
         Ok(())
     }
 
-    /// Carries out a command of the store.
+    /// Executes a command of the store.
     pub(super) fn run_command(&mut self, command: StoreCommand) -> Result<(), String> {
         if self.disk_full {
             return self.tell(Event::Refused(command));
         }
-        // A lock keeps tiles from being opened before the scheduler receives a commit.
+        // A lock prevents reopened tiles before the scheduler receives a commit.
         if matches!(command, StoreCommand::Quarantine { .. }) && self.commits() {
-            self.after(1, Happening::Run(self.life, Box::new(command)));
+            self.after(1, SimulatedEvent::Run(self.life, Box::new(command)));
             return Ok(());
         }
         let mut events = Vec::new();
         let outcome = self.outcome(&command, &mut events);
         events.into_iter().try_for_each(|event| self.tell(event))?;
         match outcome {
-            // The job has changed in the meantime; the scheduler has heard of that, or will.
+            // The job has changed in the meantime; the scheduler has received that change, or will.
             Ok(()) | Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
                 Ok(())
             }
@@ -238,8 +252,8 @@ impl World {
 
     /// Returns true if the scheduler has not yet received a commit of the store.
     fn commits(&self) -> bool {
-        self.queue.values().any(|happening| match happening {
-            Happening::Durable(life, _, _, events, ..) => {
+        self.queue.values().any(|event| match event {
+            SimulatedEvent::Durable(life, _, _, events, ..) => {
                 *life == self.life
                     && events
                         .iter()
@@ -353,8 +367,8 @@ impl World {
                     let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
                     let was_done = self.job(id).record.state.phase() == JobPhase::Done;
                     if let Err(e) = self.store().invalidate_tiles(id, &tiles) {
-                        // The change may be on the disk although its write failed. It opens all tiles
-                        // of a done job.
+                        // The change may be on the disk although its write failed. It reopens all tiles of a
+                        // done job.
                         let opens = |tile: &TileIndex| was_done || tiles.contains(tile);
                         self.acknowledged
                             .retain(|(job, tile), _| *job != id || !opens(tile));

@@ -1,4 +1,4 @@
-//! What a schedule begins with, and the faults and clients' commands that come over it.
+//! The initial state of a schedule, and its faults and client commands.
 
 use sightline_numbers::random::SplitMix64;
 use sightline_records::ids::{JobId, TileIndex};
@@ -7,11 +7,11 @@ use sightline_store::StoreError;
 use sightline_store::failing::FailingDisk;
 use sightline_viewcells::{Plan, Tile, TileKind};
 
-use super::parts::{Ground, Happening, SimulatedWorker, Up, spec};
+use super::parts::{Ground, SimulatedEvent, SimulatedWorker, WorkerMessage, spec};
 use super::world::World;
 use crate::Event;
 
-/// A world with some workers and jobs.
+/// Creates a world with some workers and jobs.
 pub(super) fn world(seed: u64) -> World {
     let mut random = SplitMix64::named(&[seed]);
     let tile_ms = [50, 500, 5000, 10_000][(random.bits() % 4) as usize];
@@ -24,7 +24,7 @@ pub(super) fn world(seed: u64) -> World {
 /// Creates a world on a disk that fails, in which done tiles are computed again.
 ///
 /// # Errors
-/// The reason for which the store cannot be opened.
+/// The reason why the store cannot be opened.
 pub(super) fn world_on_disk(seed: u64) -> Result<World, String> {
     let mut random = SplitMix64::named(&[seed, 11]);
     let tile_ms = [50, 500, 5000][(random.bits() % 3) as usize];
@@ -42,7 +42,7 @@ pub(super) fn world_on_disk(seed: u64) -> Result<World, String> {
 /// Adds workers and jobs.
 fn populate(world: &mut World, seed: u64) {
     let mut lethal = SplitMix64::named(&[seed, 2]);
-    // A checker for each tile, and a judge for each dispute.
+    // Each tile needs a checker, and each dispute needs a judge.
     let checked = world.spot_check > 0.0;
     let workers = if checked { 3 } else { 1 } + world.below(if checked { 3 } else { 5 });
     for _ in 0..workers {
@@ -100,7 +100,7 @@ fn populate(world: &mut World, seed: u64) {
     }
 }
 
-/// A plan in which every tile may need some of those before it.
+/// Creates a plan in which every tile may need some of the tiles before it.
 fn plan(world: &mut World, tiles: u32) -> Plan {
     let spec = spec();
     let cell = spec
@@ -126,13 +126,13 @@ fn plan(world: &mut World, tiles: u32) -> Plan {
 }
 
 impl World {
-    /// A fault, or a command of a client; the next one comes after a while. The last one repairs everything.
+    /// Executes a fault or a client command, and schedules the next one. The last one repairs everything.
     pub(super) fn fault(&mut self) -> Result<(), String> {
         if !self.faults_on() {
             return self.repair();
         }
         let next = 500 + self.below(15_000);
-        self.after(next, Happening::Fault);
+        self.after(next, SimulatedEvent::Fault);
         let w = self.below(self.workers.len() as u64) as usize;
         let long = 1000 + self.below(40_000);
         match self.below(12) {
@@ -141,7 +141,7 @@ impl World {
             }
             1 => self.workers[w].paused_until = self.now + long,
             2 | 3 => {
-                // The network between a worker and the coordinator is cut for a while.
+                // The network between a worker and the coordinator is interrupted for a while.
                 self.workers[w].cut_until = self.now + if self.one_in(2) { 500 } else { long };
                 if let Some(stream) = self.workers[w].stream {
                     self.break_stream(stream, 25_000);
@@ -151,12 +151,12 @@ impl World {
                 if self.scheduler.is_some() {
                     self.stop_coordinator();
                     let wait = if self.one_in(2) { 200 } else { long / 2 };
-                    self.after(wait, Happening::CoordinatorUp);
+                    self.after(wait, SimulatedEvent::CoordinatorUp);
                 }
             }
             5 => {
                 self.fill(true);
-                self.after(long, Happening::DiskFree);
+                self.after(long, SimulatedEvent::DiskFree);
             }
             6 => {
                 self.unix_ms = self
@@ -176,21 +176,21 @@ impl World {
     }
 
     /// Kills a worker; another process replaces it after `wait` milliseconds. The connection ends at once, or
-    /// when the coordinator notices.
+    /// once the coordinator notices.
     pub(super) fn kill(&mut self, w: usize, wait: u64) {
         self.workers[w].alive = false;
         self.workers[w].life += 1;
         if let Some(stream) = self.workers[w].stream.take() {
             self.break_stream(stream, 30_000);
         }
-        self.after(wait, Happening::Revive(w, self.workers[w].life));
+        self.after(wait, SimulatedEvent::Revive(w, self.workers[w].life));
     }
 
-    /// A worker is asked to end: it gives back what has not begun and delivers the rest.
+    /// Drains a worker: it returns the tiles that have not begun, and delivers the others.
     fn drains(&mut self, w: usize) {
         self.workers[w].draining = true;
         if let Some(stream) = self.workers[w].stream {
-            self.send_up(stream, Up::Drains);
+            self.send_up(stream, WorkerMessage::Drains);
         }
         let waiting: Vec<_> = self.workers[w]
             .held
@@ -253,13 +253,13 @@ impl World {
         self.disk_full = false;
         self.end_faults();
         if self.scheduler.is_none() {
-            self.after(500, Happening::Fault);
+            self.after(500, SimulatedEvent::Fault);
             return Ok(());
         }
         // The operator has repaired the machines and releases their workers, now and every minute: checks may
-        // find earlier outputs later.
+        // detect earlier wrong outputs later.
         if self.spot_check > 0.0 {
-            self.after(60_000, Happening::Fault);
+            self.after(60_000, SimulatedEvent::Fault);
         }
         self.workers
             .iter_mut()

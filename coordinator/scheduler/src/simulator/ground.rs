@@ -1,4 +1,4 @@
-//! The store under a simulated cluster: in memory, or the real store and blobs on a disk that fails.
+//! The store of a simulated cluster. It is in memory, or the real store and blobs on a disk that fails.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use sightline_records::ids::JobId;
 use sightline_store::failing::Loss;
 use sightline_store::{BlobError, Blobs as _, JournalError, Store, StoreError};
 
-use super::parts::{Ground, Happening, Refusal, digest, output};
+use super::parts::{Ground, Refusal, SimulatedEvent, digest, output};
 use super::world::World;
 
 impl World {
@@ -31,14 +31,14 @@ impl World {
         Ok(())
     }
 
-    /// Closes the store, at the end of the coordinator's process or of the power.
+    /// Closes the store, because the coordinator's process ends or the power fails.
     pub(super) fn close_store(&mut self) {
         if let Ground::Disk(disk) = &mut self.ground {
             disk.close();
         }
     }
 
-    /// Lets the disk fail while faults are on.
+    /// Enables disk faults while faults are on.
     pub(super) fn begin_faults(&mut self) {
         let on = self.faults_on();
         if let Ground::Disk(disk) = &mut self.ground
@@ -48,14 +48,14 @@ impl World {
         }
     }
 
-    /// Ends the faults of the disk.
+    /// Disables the faults of the disk.
     pub(super) fn end_faults(&mut self) {
         if let Ground::Disk(disk) = &self.ground {
             disk.heal();
         }
     }
 
-    /// Fills the disk up, or empties it.
+    /// Fills the disk, or frees its space.
     pub(super) fn fill(&mut self, is_full: bool) {
         match &self.ground {
             Ground::Memory(_) => self.disk_full = is_full,
@@ -63,7 +63,7 @@ impl World {
         }
     }
 
-    /// Ends the coordinator if an error of the store is final; returns the consequence.
+    /// Ends the coordinator if an error of the store is final. Returns the consequence.
     ///
     /// # Errors
     /// The store's error, if no fault of a disk explains it.
@@ -74,14 +74,14 @@ impl World {
             }
             StoreError::Journal(JournalError::Unusable { .. }) => {
                 self.stop_coordinator();
-                self.after(300, Happening::CoordinatorUp);
+                self.after(300, SimulatedEvent::CoordinatorUp);
                 Ok(Refusal::Ended)
             }
             e => Err(format!("the store refused: {e}")),
         }
     }
 
-    /// Keeps an output as a blob; returns false if the disk fails.
+    /// Stores an output as a blob. Returns false if the disk fails.
     pub(super) fn keep(&self, bytes: &[u8]) -> bool {
         match &self.ground {
             Ground::Memory(_) => true,
@@ -91,7 +91,8 @@ impl World {
         }
     }
 
-    /// Forgets the changes that a repair has lost. An unnamed loss of a job is an error.
+    /// Forgets the changes that a repair has lost. Returns an error for a lost job that the repair did not
+    /// report.
     fn forget_lost(&mut self, loss: &Loss) -> Result<(), String> {
         for id in self.plans.keys().copied().collect::<Vec<JobId>>() {
             if self.store().job(id).map_err(|e| e.to_string())?.is_none() {
@@ -115,7 +116,7 @@ impl World {
                     .map_err(|e| e.to_string())?
                     .state;
                 // A tile is open again, or has an earlier output again, because the change that opened it is
-                // lost, too. No other output may appear than that of a worker with sound or broken memory.
+                // lost, too. Any other output must come from a worker with sound or broken memory.
                 if let TileState::Done { digest: of, .. } = state {
                     if of == digest(&bytes) {
                         kept.insert((job, tile), bytes);

@@ -3,9 +3,9 @@
 //! store and blobs on a simulated disk that fails. A schedule is a function of its seed, so every failure can
 //! be repeated.
 //!
-//! After every event the scheduler counts its lists again. The world checks that no acknowledged output is
+//! After every event the scheduler recomputes its lists. The world checks that no acknowledged output is
 //! lost, that no tile changes its output, and that no lease is given twice or outlives its rules. It checks
-//! that nothing is leased while an earlier epoch's workers may hold it, and that every job ends once the
+//! that no tile is leased while an earlier epoch's workers may hold it, and that every job ends once the
 //! faults have stopped.
 //!
 //! ```text

@@ -1,4 +1,4 @@
-//! What a simulated world consists of: messages, streams, workers, and what can happen.
+//! The parts of a simulated world: messages, streams, workers, and events.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use sightline_store::failing::FailingDisk;
 use crate::{Event, Introduction, Progress, StoreCommand};
 
 /// A worker's message.
-pub(super) enum Up {
+pub(super) enum WorkerMessage {
     Hello(Introduction),
     Want(u32),
     Drains,
@@ -20,7 +20,7 @@ pub(super) enum Up {
 }
 
 /// A coordinator's message.
-pub(super) enum Down {
+pub(super) enum CoordinatorMessage {
     Welcome(Vec<Lease>),
     Grant(Lease),
     Revoke(Lease),
@@ -29,28 +29,27 @@ pub(super) enum Down {
 
 /// The answer to an output.
 #[derive(Clone, Copy)]
-pub(super) enum Answer {
+pub(super) enum CommitAnswer {
     Kept,
     NotNeeded,
     Differs,
     Later,
 }
 
-/// Something that will happen. A worker's number is followed by its life, the coordinator's things by the
-/// coordinator's.
-pub(super) enum Happening {
+/// A scheduled event. The life after a worker's number is the worker's; other lives are the coordinator's.
+pub(super) enum SimulatedEvent {
     Tick(u64),
     Connect(usize, u64),
-    Up(usize, Up),
-    Down(usize, Down),
+    Up(usize, WorkerMessage),
+    Down(usize, CoordinatorMessage),
     UpBroken(usize),
     DownBroken(usize),
     Beat(usize, u64),
     Ran(usize, u64, LeaseId),
     Deliver(usize, u64, LeaseId),
     Arrives(usize, u64, Lease),
-    Durable(u64, usize, u64, Vec<Event>, LeaseId, Answer),
-    Answered(usize, u64, LeaseId, Answer),
+    Durable(u64, usize, u64, Vec<Event>, LeaseId, CommitAnswer),
+    Answered(usize, u64, LeaseId, CommitAnswer),
     Stopped(usize, u64, LeaseId),
     Run(u64, Box<StoreCommand>),
     Assemble(u64, JobId),
@@ -58,7 +57,7 @@ pub(super) enum Happening {
     Revive(usize, u64),
     CoordinatorUp,
     DiskFree,
-    /// A leader's stream to its crew begins or ends, or a helper comes back.
+    /// A leader's stream to its crew begins or ends, or a helper returns.
     Crew(u64, Box<Event>),
 }
 
@@ -72,8 +71,8 @@ pub(super) struct StreamEnds {
     pub(super) down_at: u64,
 }
 
-/// A tile in a worker's hands.
-pub(super) struct Held {
+/// A tile that a worker holds.
+pub(super) struct SimulatedTile {
     pub(super) lease: Lease,
     pub(super) runs: bool,
     pub(super) ran: bool,
@@ -82,23 +81,23 @@ pub(super) struct Held {
     pub(super) tries: u32,
 }
 
-/// A worker.
+/// A simulated worker.
 pub(super) struct SimulatedWorker {
     pub(super) profile: String,
     pub(super) alive: bool,
-    /// How often it was started; what was meant for an earlier life is ignored.
+    /// The number of starts. Events for an earlier life are ignored.
     pub(super) life: u64,
-    /// It does nothing until then.
+    /// The time until which the worker is suspended.
     pub(super) paused_until: u64,
-    /// Nothing reaches it until then.
+    /// The time until which the worker's network is interrupted.
     pub(super) cut_until: u64,
     pub(super) stream: Option<usize>,
     pub(super) wait: u64,
-    pub(super) held: BTreeMap<LeaseId, Held>,
+    pub(super) held: BTreeMap<LeaseId, SimulatedTile>,
     pub(super) draining: bool,
-    /// How much slower it is than others.
+    /// The factor by which the worker is slower than others.
     pub(super) slowness: u64,
-    /// Its memory is broken: its outputs differ.
+    /// True if the worker's memory is broken, so that its outputs differ.
     pub(super) broken: bool,
 }
 
@@ -115,7 +114,7 @@ pub(super) enum Ground {
 pub(super) enum Refusal {
     /// The store continues.
     Later,
-    /// The coordinator has to start again.
+    /// The coordinator must start again.
     Ended,
 }
 

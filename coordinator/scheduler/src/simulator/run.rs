@@ -1,27 +1,27 @@
-//! One schedule from its seed to its verdict: everything that happens, in the order of time.
+//! The execution of one schedule: all events from its seed, in the order of time, and the verdict.
 
 use sightline_store::failing::Counts as DiskCounts;
 
 use super::faults;
-use super::parts::{Ground, Happening};
+use super::parts::{Ground, SimulatedEvent};
 use super::world::World;
 use crate::Event;
 
-/// Every job must end within this time after the faults have stopped.
+/// The time after the last fault within which every job must end, in milliseconds.
 const PATIENCE: u64 = 10_800_000;
 
 /// Runs a schedule.
 ///
 /// # Errors
-/// The first rule that was broken.
+/// The description of the first violated rule.
 pub(super) fn run(seed: u64) -> Result<(), String> {
     run_in(faults::world(seed)).map(drop)
 }
 
-/// Runs a schedule on a disk that fails, with spot checks; returns the faults of the disk.
+/// Runs a schedule on a disk that fails, with spot checks. Returns the numbers of disk faults.
 ///
 /// # Errors
-/// The first rule that was broken.
+/// The description of the first violated rule.
 pub(super) fn run_on_disk(seed: u64) -> Result<DiskCounts, String> {
     run_in(faults::world_on_disk(seed)?)
 }
@@ -33,8 +33,8 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
         world.restart_worker(w);
     }
     let first = 500 + world.below(3000);
-    world.after(first, Happening::Fault);
-    while let Some(((at, _), happening)) = world.queue.pop_first() {
+    world.after(first, SimulatedEvent::Fault);
+    while let Some(((at, _), event)) = world.queue.pop_first() {
         world.now = at;
         if world.now > super::world::FAULTS + PATIENCE {
             let open: Vec<_> = world.open_jobs();
@@ -51,7 +51,7 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
                 state.unwrap_or_default()
             ));
         }
-        world.handle(happening)?;
+        world.handle(event)?;
         if !world.faults_on() && world.scheduler.is_some() && world.open_jobs().is_empty() {
             break;
         }
@@ -65,10 +65,10 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
 }
 
 impl World {
-    fn handle(&mut self, happening: Happening) -> Result<(), String> {
-        use Happening as H;
-        // Whoever stands still does everything later, in the same order.
-        let later = match &happening {
+    fn handle(&mut self, event: SimulatedEvent) -> Result<(), String> {
+        use SimulatedEvent as H;
+        // A suspended worker or coordinator handles every event later, in the same order.
+        let later = match &event {
             H::Tick(_)
             | H::Up(..)
             | H::UpBroken(_)
@@ -87,11 +87,11 @@ impl World {
             H::Fault | H::Revive(..) | H::CoordinatorUp | H::DiskFree => 0,
         };
         if later > self.now {
-            self.at(later, happening);
+            self.at(later, event);
             return Ok(());
         }
         let alive = |w: usize, life: u64| self.workers[w].alive && self.workers[w].life == life;
-        match happening {
+        match event {
             H::Tick(life) if life == self.life => {
                 self.after(1000, H::Tick(life));
                 self.tell(Event::Tick)?;

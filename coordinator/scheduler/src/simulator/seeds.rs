@@ -1,11 +1,12 @@
-//! The schedules that run: some in every test run, any number on demand, and each that has ever failed.
+//! The seeds of schedules. Some run in every test run, any number on demand, and each seed that has ever
+//! failed.
 
 use sightline_store::failing::Counts as DiskCounts;
 
 use super::run::{run, run_on_disk};
 
-/// Runs schedules from `first` on, each by `run`; panics with the seed of the first that fails. Returns the
-/// outcomes.
+/// Runs schedules from `first` on, each with `run`, and returns the outcomes. Panics with the seed of the
+/// first failing schedule.
 fn all<T: Send>(first: u64, count: u64, run: impl Fn(u64) -> Result<T, String> + Sync) -> Vec<T> {
     let threads = 2;
     let each = |thread: u64| -> Vec<T> {
@@ -79,33 +80,33 @@ fn many_schedules() {
     );
 }
 
-/// Errors that the scheduler or the rules had, each with the number of the schedule that showed it.
+/// Runs the seeds that showed errors of the scheduler or of the rules.
 #[test]
 fn schedules_that_failed() {
-    // A job that was paused and resumed was queued, and a worker that came back for a lease made it have
-    // leases without running.
+    // A paused and resumed job was queued, and a worker that returned for a lease gave it leases without
+    // running.
     schedules(2048, 1);
     schedules(3861, 1);
     // A waiting tile that its worker had claimed after a restart went to an idle worker within the grace.
-    // That is fine, since its holder is known and told.
+    // That is allowed, because the holder is known and notified.
     schedules(30, 1);
     schedules(65, 1);
     // A job that was paused when only checks of its tiles were left did not run again after it was resumed.
     schedules_on_disk(42, 1);
-    // A tile that was opened again, and needed a tile that was set aside, stayed open for ever.
+    // A tile that was reopened and needed a tile that was set aside stayed open forever.
     schedules_on_disk(492, 1);
-    // The write of a watermark failed after all its bytes were written; then the frame was taken back.
+    // The write of a watermark failed after all its bytes were written; then the frame was removed.
     schedules_on_disk(201_179, 1);
-    // Every worker was a suspect in a dispute, and an open tile kept the helper from judging it.
+    // Every worker was a suspect in a dispute, and an open tile prevented the helper from deciding it.
     schedules_on_disk(201_666, 1);
-    // A worker that was called silent was told to stop a tile that it did not have, and did not ask
-    // again.
+    // A worker that was considered silent was told to stop a tile that it did not have, and did not request
+    // tiles again.
     schedules_on_disk(300_145, 1);
     // After a failed write of a watermark, a power failure left an earlier content of its slot.
     schedules_on_disk(435_855, 1);
     schedules_on_disk(469_700, 1);
-    // A job that was paused while all workers were suspects did not run again, and no worker judged.
+    // A job that was paused while all workers were suspects did not run again, and no worker decided.
     schedules_on_disk(409_916, 1);
-    // The store refused to set aside a tile that needed a tile which was set aside.
+    // The store rejected the command to set aside a tile that needed a tile that was set aside.
     schedules_on_disk(303_920, 1);
 }

@@ -1,8 +1,10 @@
-//! Simulated workers: they hold tiles, renew leases, deliver outputs and come back, as real ones do.
+//! Simulated workers: they hold tiles, renew leases, deliver outputs and reconnect, as real workers do.
 
 use sightline_records::ids::LeaseId;
 
-use super::parts::{Answer, Down, Happening, Held, Up};
+use super::parts::{
+    CommitAnswer, CoordinatorMessage, SimulatedEvent, SimulatedTile, WorkerMessage,
+};
 use super::world::World;
 use crate::{Event, Introduction, Progress};
 
@@ -18,7 +20,7 @@ impl World {
         if !reachable {
             let wait = self.workers[w].wait;
             self.workers[w].wait = (wait * 2).min(2000);
-            self.after(wait, Happening::Connect(w, self.workers[w].life));
+            self.after(wait, SimulatedEvent::Connect(w, self.workers[w].life));
             return;
         }
         let stream = self.open_stream(w);
@@ -34,16 +36,16 @@ impl World {
             held,
             helps: !w.is_multiple_of(4),
         };
-        self.send_up(stream, Up::Hello(intro));
+        self.send_up(stream, WorkerMessage::Hello(intro));
     }
 
     /// Handles a message of the coordinator.
-    pub(super) fn worker_hears(&mut self, w: usize, stream: usize, down: Down) {
+    pub(super) fn worker_hears(&mut self, w: usize, stream: usize, down: CoordinatorMessage) {
         if self.workers[w].stream != Some(stream) {
             return;
         }
         match down {
-            Down::Welcome(kept) => {
+            CoordinatorMessage::Welcome(kept) => {
                 self.workers[w].wait = 200;
                 let lost: Vec<LeaseId> = self.workers[w]
                     .held
@@ -53,12 +55,12 @@ impl World {
                     .collect();
                 lost.into_iter().for_each(|id| self.cancel(w, id));
                 if self.workers[w].draining {
-                    self.send_up(stream, Up::Drains);
+                    self.send_up(stream, WorkerMessage::Drains);
                 }
                 self.want_all(w);
             }
-            Down::Grant(lease) => {
-                let held = Held {
+            CoordinatorMessage::Grant(lease) => {
+                let held = SimulatedTile {
                     lease,
                     runs: false,
                     ran: false,
@@ -69,27 +71,27 @@ impl World {
                 self.workers[w].held.insert(lease.id, held);
                 self.run_next(w);
             }
-            Down::Revoke(lease) if self.workers[w].held.contains_key(&lease.id) => {
+            CoordinatorMessage::Revoke(lease) if self.workers[w].held.contains_key(&lease.id) => {
                 self.cancel(w, lease.id)
             }
-            // The coordinator took a tile for held that is not.
-            Down::Revoke(_) => self.want_all(w),
-            Down::Refused => self.worker_breaks(w),
+            // The coordinator assumed a tile that the worker does not hold.
+            CoordinatorMessage::Revoke(_) => self.want_all(w),
+            CoordinatorMessage::Refused => self.worker_breaks(w),
         }
     }
 
-    /// Tells a tile to stop, which it does after a while.
+    /// Cancels a tile, which stops after a while.
     pub(super) fn cancel(&mut self, w: usize, id: LeaseId) {
         let wait = 1 + self.below(200);
         let life = self.workers[w].life;
         if let Some(held) = self.workers[w].held.get_mut(&id)
             && !std::mem::replace(&mut held.cancelled, true)
         {
-            self.after(wait, Happening::Stopped(w, life, id));
+            self.after(wait, SimulatedEvent::Stopped(w, life, id));
         }
     }
 
-    /// Begins the next tile, when none runs.
+    /// Begins the next tile if no tile runs.
     fn run_next(&mut self, w: usize) {
         if self.workers[w].held.values().any(|h| h.runs && !h.ran) {
             return;
@@ -105,10 +107,10 @@ impl World {
         let (id, lease) = (next.lease.id, next.lease);
         self.crew(50, Event::CrewOpened(lease));
         let time = (1 + self.below(self.tile_ms)) * self.workers[w].slowness;
-        self.after(time, Happening::Ran(w, self.workers[w].life, id));
+        self.after(time, SimulatedEvent::Ran(w, self.workers[w].life, id));
     }
 
-    /// A tile has been computed, or has failed.
+    /// Handles a tile that was computed or has failed.
     pub(super) fn ran(&mut self, w: usize, id: LeaseId) {
         let poisoned = self.workers[w]
             .held
@@ -136,7 +138,7 @@ impl World {
         if (poisoned || faulty) && !held.cancelled {
             self.workers[w].held.remove(&id);
             let infrastructure = !poisoned && self.one_in(2);
-            self.say(w, Up::Failed(lease, infrastructure));
+            self.say(w, WorkerMessage::Failed(lease, infrastructure));
             self.want_more(w);
         } else {
             self.deliver(w, id);
@@ -144,7 +146,7 @@ impl World {
         self.run_next(w);
     }
 
-    /// Sends an output on its way. It arrives, or is lost and sent again.
+    /// Sends an output, which arrives, or is lost and sent again.
     pub(super) fn deliver(&mut self, w: usize, id: LeaseId) {
         let Some(held) = self.workers[w].held.get_mut(&id).filter(|h| !h.cancelled) else {
             return;
@@ -156,68 +158,68 @@ impl World {
             || self.workers[w].cut_until > self.now
             || self.faults_on() && self.one_in(10);
         if lost {
-            self.after(wait, Happening::Deliver(w, life, id));
+            self.after(wait, SimulatedEvent::Deliver(w, life, id));
         } else {
             let delay = self.delay();
-            self.after(delay, Happening::Arrives(w, life, lease));
+            self.after(delay, SimulatedEvent::Arrives(w, life, lease));
         }
     }
 
-    /// The coordinator has answered to an output.
-    pub(super) fn answered(&mut self, w: usize, id: LeaseId, answer: Answer) {
+    /// Handles the coordinator's answer to an output.
+    pub(super) fn answered(&mut self, w: usize, id: LeaseId, answer: CommitAnswer) {
         match answer {
-            Answer::Kept => {
+            CommitAnswer::Kept => {
                 self.workers[w].held.remove(&id);
             }
-            Answer::NotNeeded => {
+            CommitAnswer::NotNeeded => {
                 if let Some(held) = self.workers[w].held.remove(&id)
                     && self.workers[w].draining
                 {
-                    self.say(w, Up::Failed(held.lease, true));
+                    self.say(w, WorkerMessage::Failed(held.lease, true));
                 }
             }
-            Answer::Differs => {
+            CommitAnswer::Differs => {
                 if let Some(held) = self.workers[w].held.remove(&id) {
-                    self.say(w, Up::Failed(held.lease, false));
+                    self.say(w, WorkerMessage::Failed(held.lease, false));
                 }
             }
-            Answer::Later => {
+            CommitAnswer::Later => {
                 let wait = 250 + self.below(5000);
-                self.after(wait, Happening::Deliver(w, self.workers[w].life, id));
+                self.after(wait, SimulatedEvent::Deliver(w, self.workers[w].life, id));
                 return;
             }
         }
         self.want_more(w);
     }
 
-    /// A cancelled tile has stopped.
+    /// Removes a cancelled tile that has stopped.
     pub(super) fn stopped(&mut self, w: usize, id: LeaseId) {
         if let Some(held) = self.workers[w].held.remove(&id) {
             if self.workers[w].draining {
-                self.say(w, Up::Failed(held.lease, true));
+                self.say(w, WorkerMessage::Failed(held.lease, true));
             }
             self.want_more(w);
             self.run_next(w);
         }
     }
 
-    /// Asks for tiles up to the number that a worker may hold.
+    /// Requests tiles up to the number that a worker may hold.
     fn want_all(&mut self, w: usize) {
         let wants = IN_HAND.saturating_sub(self.workers[w].held.len()) as u32;
         if !self.workers[w].draining && wants > 0 {
-            self.say(w, Up::Want(wants));
+            self.say(w, WorkerMessage::Want(wants));
         }
     }
 
     fn want_more(&mut self, w: usize) {
         if !self.workers[w].draining {
-            self.say(w, Up::Want(1));
+            self.say(w, WorkerMessage::Want(1));
         } else if self.workers[w].held.is_empty() {
             self.retire(w);
         }
     }
 
-    /// A draining worker that holds nothing ends, and another one is started in its place.
+    /// Ends a draining worker without tiles, and starts another one in its place.
     pub(super) fn retire(&mut self, w: usize) {
         if let Some(stream) = self.workers[w].stream.take() {
             self.close_up(stream);
@@ -225,7 +227,7 @@ impl World {
         self.restart_worker(w);
     }
 
-    /// Starts a worker anew, with nothing in hand.
+    /// Starts a new worker process without tiles.
     pub(super) fn restart_worker(&mut self, w: usize) {
         let wait = 100 + self.below(3000);
         let worker = &mut self.workers[w];
@@ -233,14 +235,14 @@ impl World {
         (worker.alive, worker.draining, worker.stream, worker.wait) = (true, false, None, 200);
         worker.held.clear();
         let life = worker.life;
-        self.after(wait, Happening::Connect(w, life));
-        self.after(wait + 1000, Happening::Beat(w, life));
+        self.after(wait, SimulatedEvent::Connect(w, life));
+        self.after(wait + 1000, SimulatedEvent::Beat(w, life));
     }
 
-    /// Renews all leases in hand.
+    /// Renews all leases of a worker.
     pub(super) fn beat(&mut self, w: usize) {
         let life = self.workers[w].life;
-        self.after(1000, Happening::Beat(w, life));
+        self.after(1000, SimulatedEvent::Beat(w, life));
         let mut reports = Vec::new();
         for held in self.workers[w].held.values_mut() {
             held.samples += u64::from(held.runs && !held.ran);
@@ -252,20 +254,20 @@ impl World {
         }
         reports
             .into_iter()
-            .for_each(|p| self.say(w, Up::Progress(p)));
+            .for_each(|p| self.say(w, WorkerMessage::Progress(p)));
     }
 
-    fn say(&mut self, w: usize, up: Up) {
+    fn say(&mut self, w: usize, up: WorkerMessage) {
         if let Some(stream) = self.workers[w].stream {
             self.send_up(stream, up);
         }
     }
 
-    /// A worker notices that its stream is broken.
+    /// Handles a broken stream that a worker has noticed.
     pub(super) fn worker_breaks(&mut self, w: usize) {
         if self.workers[w].stream.take().is_some() {
             let worker = &self.workers[w];
-            self.after(worker.wait, Happening::Connect(w, worker.life));
+            self.after(worker.wait, SimulatedEvent::Connect(w, worker.life));
         }
     }
 }

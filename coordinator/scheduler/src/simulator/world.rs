@@ -10,29 +10,31 @@ use sightline_records::ids::{JobId, Lease, LeaseId, TileIndex};
 use sightline_store::MemoryStore;
 use sightline_viewcells::Plan;
 
-use super::parts::{Down, Ground, Happening, SimulatedWorker, StreamEnds, Up, spec};
-use crate::{Effect, Event, Job, Now, Output, Scheduler, WorkerCommand};
+use super::parts::{
+    CoordinatorMessage, Ground, SimulatedEvent, SimulatedWorker, StreamEnds, WorkerMessage, spec,
+};
+use crate::{Effect, Event, Now, OpenJob, Output, Scheduler, WorkerCommand};
 
 pub(super) const TTL: u64 = 10_000;
-/// After a restart nothing that may be held is leased for this long.
+/// The time after a restart in which tiles that a worker may hold are not leased, in milliseconds.
 const GRACE: u64 = 2500;
-/// Faults stop then.
+/// The time at which faults stop, in milliseconds.
 pub(super) const FAULTS: u64 = 120_000;
 
-/// The world.
+/// The state of a simulated cluster.
 pub(super) struct World {
     pub(super) random: SplitMix64,
-    /// Decides about crews, users and priorities alone, so that schedules without crews stay what they were.
+    /// The random numbers only of crews, users and priorities, so that schedules without crews do not change.
     crews: SplitMix64,
     pub(super) now: u64,
     pub(super) unix_ms: u64,
     next: u64,
-    pub(super) queue: BTreeMap<(u64, u64), Happening>,
+    pub(super) queue: BTreeMap<(u64, u64), SimulatedEvent>,
     pub(super) ground: Ground,
-    /// The share of tiles that are computed again.
+    /// The share of tiles that are computed again, from 0 to 1.
     pub(super) spot_check: f64,
     pub(super) scheduler: Option<Scheduler>,
-    /// Lives of the coordinator.
+    /// The number of lives of the coordinator.
     pub(super) life: u64,
     pub(super) epoch: u64,
     pub(super) stalled_until: u64,
@@ -41,22 +43,22 @@ pub(super) struct World {
     pub(super) workers: Vec<SimulatedWorker>,
     pub(super) plans: BTreeMap<JobId, Plan>,
     poison: BTreeSet<(JobId, TileIndex)>,
-    /// Tiles whose workers die.
+    /// The tiles whose workers die.
     pub(super) lethal: BTreeSet<(JobId, TileIndex)>,
-    /// Outputs that were acknowledged.
+    /// The acknowledged outputs.
     pub(super) acknowledged: BTreeMap<(JobId, TileIndex), Vec<u8>>,
     pub(super) leased: BTreeSet<LeaseId>,
-    /// Jobs that ran before the last start of the coordinator, and when that was.
+    /// The jobs that ran before the last start of the coordinator.
     pub(super) ran_before: BTreeSet<JobId>,
     pub(super) started: u64,
-    /// Tiles that workers have claimed since then.
+    /// The tiles that workers have claimed since the last start of the coordinator.
     pub(super) claimed: BTreeSet<(JobId, TileIndex)>,
     pub(super) tile_ms: u64,
     pub(super) slowest_link: u64,
 }
 
 impl World {
-    /// A world without workers and jobs.
+    /// Creates a world without workers and jobs.
     pub(super) fn new(random: SplitMix64, tile_ms: u64, slowest_link: u64) -> Self {
         Self {
             crews: SplitMix64::named(&[random.clone().bits(), 1]),
@@ -103,22 +105,22 @@ impl World {
         self.now < FAULTS
     }
 
-    pub(super) fn after(&mut self, wait: u64, happening: Happening) {
-        self.at(self.now + wait, happening);
+    pub(super) fn after(&mut self, wait: u64, event: SimulatedEvent) {
+        self.at(self.now + wait, event);
     }
 
-    pub(super) fn at(&mut self, at: u64, happening: Happening) {
+    pub(super) fn at(&mut self, at: u64, event: SimulatedEvent) {
         self.next += 1;
-        self.queue.insert((at, self.next), happening);
+        self.queue.insert((at, self.next), event);
     }
 
-    /// Something about a crew happens within `most` milliseconds, if the coordinator lives so long.
+    /// Schedules an event of a crew within `most` milliseconds, unless the coordinator ends before.
     pub(super) fn crew(&mut self, most: u64, event: Event) {
         let wait = 1 + self.crews.bits() % most;
-        self.after(wait, Happening::Crew(self.life, Box::new(event)));
+        self.after(wait, SimulatedEvent::Crew(self.life, Box::new(event)));
     }
 
-    /// The user and the priority of a job.
+    /// Returns the user and the priority of a new job.
     pub(super) fn submitter(&mut self) -> (&'static str, i32) {
         let bits = self.crews.bits();
         (
@@ -127,7 +129,7 @@ impl World {
         )
     }
 
-    /// Once in a while a client gives a job another priority.
+    /// Sometimes changes the priority of an open job, as a client does.
     pub(super) fn prioritize(&mut self) -> Result<(), String> {
         let bits = self.crews.bits();
         let (open, priority) = (self.open_jobs(), (bits / 8 % 3) as i32 - 1);
@@ -173,43 +175,43 @@ impl World {
         self.streams.len() - 1
     }
 
-    pub(super) fn send_up(&mut self, stream: usize, up: Up) {
+    pub(super) fn send_up(&mut self, stream: usize, up: WorkerMessage) {
         let at = (self.now + self.delay()).max(self.streams[stream].up_at);
         self.streams[stream].up_at = at;
-        self.at(at, Happening::Up(stream, up));
+        self.at(at, SimulatedEvent::Up(stream, up));
     }
 
-    pub(super) fn send_down(&mut self, stream: usize, down: Down) {
+    pub(super) fn send_down(&mut self, stream: usize, down: CoordinatorMessage) {
         let at = (self.now + self.delay()).max(self.streams[stream].down_at);
         self.streams[stream].down_at = at;
-        self.at(at, Happening::Down(stream, down));
+        self.at(at, SimulatedEvent::Down(stream, down));
     }
 
-    /// A worker ends its stream in order: everything that it said arrives first.
+    /// Ends a worker's stream in order: all sent messages arrive first.
     pub(super) fn close_up(&mut self, stream: usize) {
         let at = self.streams[stream].up_at;
-        self.at(at.max(self.now), Happening::UpBroken(stream));
+        self.at(at.max(self.now), SimulatedEvent::UpBroken(stream));
     }
 
-    /// A stream breaks: what is under way is lost, and both ends notice it after a while.
+    /// Breaks a stream: messages in transit are lost, and both ends notice the break after a while.
     pub(super) fn break_stream(&mut self, stream: usize, longest: u64) {
         self.streams[stream].closed = true;
         let (up, down) = (self.below(longest), self.below(longest));
-        self.after(up, Happening::UpBroken(stream));
-        self.after(down, Happening::DownBroken(stream));
+        self.after(up, SimulatedEvent::UpBroken(stream));
+        self.after(down, SimulatedEvent::DownBroken(stream));
     }
 
-    /// A job as the store has it.
-    pub(super) fn job(&self, id: JobId) -> Job {
-        let work = PlannedJob::with_plan(spec(), self.plans[&id].clone());
-        Job::with(
+    /// Returns a job in its state in the store.
+    pub(super) fn job(&self, id: JobId) -> OpenJob {
+        let planned = PlannedJob::with_plan(spec(), self.plans[&id].clone());
+        OpenJob::with(
             self.store().job(id).unwrap().unwrap(),
-            Arc::new(work),
+            Arc::new(planned),
             self.store().tiles(id).unwrap(),
         )
     }
 
-    /// Passes an event to the scheduler, checks the scheduler, and carries out its effects.
+    /// Passes an event to the scheduler, checks the scheduler, and executes its effects.
     pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
         let now = Now {
             ms: self.now,
@@ -231,20 +233,24 @@ impl World {
 
     pub(super) fn carry(&mut self, effect: Effect) -> Result<(), String> {
         match effect {
-            Effect::Tell(worker, order) => {
+            Effect::Tell(worker, command) => {
                 let stream = self
                     .streams
                     .iter()
                     .rposition(|s| s.number == Some(worker) && s.life == self.life);
-                if let WorkerCommand::Grant(grant) = &order {
+                if let WorkerCommand::Grant(grant) = &command {
                     self.may_lease(&grant.lease)?;
                 }
                 let Some(stream) = stream else {
-                    return Err("an order to nobody".to_owned());
+                    return Err("a command to a worker without a stream".to_owned());
                 };
-                match order {
-                    WorkerCommand::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
-                    WorkerCommand::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
+                match command {
+                    WorkerCommand::Grant(grant) => {
+                        self.send_down(stream, CoordinatorMessage::Grant(grant.lease))
+                    }
+                    WorkerCommand::Revoke(lease) => {
+                        self.send_down(stream, CoordinatorMessage::Revoke(lease))
+                    }
                     WorkerCommand::Help(help) => {
                         let back = Event::Helped(worker, help.lease);
                         self.crew(3000, back);
@@ -254,11 +260,11 @@ impl World {
             }
             Effect::Run(command) => {
                 let wait = self.below(20);
-                self.after(wait, Happening::Run(self.life, Box::new(command)));
+                self.after(wait, SimulatedEvent::Run(self.life, Box::new(command)));
             }
             Effect::Assemble(job) => {
                 let wait = self.below(500);
-                self.after(wait, Happening::Assemble(self.life, job));
+                self.after(wait, SimulatedEvent::Assemble(self.life, job));
             }
             Effect::Changed(_) | Effect::Note(_) | Effect::Joined(_) | Effect::Left(_) => {}
         }
@@ -269,7 +275,7 @@ impl World {
         if !self.leased.insert(lease.id) {
             return Err(format!("{lease:?} is given twice"));
         }
-        // A tile that its worker has claimed may change hands.
+        // A tile that its worker has claimed may move to another worker.
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
         // The check of a done tile does not affect the worker that made the tile.
         let job = self

@@ -2,13 +2,13 @@
 
 use std::net::SocketAddr;
 
-/// An error of a coordinator that cannot serve, or whose server stopped.
+/// The reason why a coordinator cannot serve, or why its server stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The address would carry plain text beyond this machine.
+    /// The address would carry unencrypted traffic beyond this machine.
     #[error(
-        "{0} can be reached from other machines and traffic would not be encrypted; give --tls-cert and \
-         --tls-key, listen on 127.0.0.1, or say --allow-plaintext when the network is private"
+        "{0} is reachable from other machines, and traffic would not be encrypted; give --tls-cert \
+         and --tls-key, listen on 127.0.0.1, or give --allow-plaintext if the network is private"
     )]
     Plaintext(SocketAddr),
     /// The address cannot be listened on.
@@ -16,7 +16,7 @@ pub enum ServeError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// The system's error.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The server ended by itself.

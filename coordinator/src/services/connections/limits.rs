@@ -1,53 +1,54 @@
-//! Limits of connections, and the number of file descriptors that they are derived from.
+//! Limits of connections, derived from the number of file descriptors.
 
 use std::time::Duration;
 
-/// Maximum number of connections that are not workers', however many descriptors there are.
+/// Maximum number of connections of callers that are not workers, regardless of the number of descriptors.
 const MAX_GENERAL: usize = 4096;
-/// Maximum number of these with one address.
+/// Maximum number of connections from one address, except workers' connections.
 const MAX_OF_ADDRESS: usize = 1024;
 /// Maximum number of workers' connections.
 const MAX_WORKERS: usize = 4096;
-/// Maximum number of handshakes at a time, and with one address.
+/// Maximum number of simultaneous handshakes in total.
 const MAX_HANDSHAKES: usize = 1024;
+/// Maximum number of simultaneous handshakes from one address.
 const MAX_HANDSHAKES_OF_ADDRESS: usize = 64;
-/// The share of descriptors that files and calls to other machines keep, in eighths.
+/// The share of descriptors that is reserved for files and for calls to other machines, in eighths.
 const RESERVED_EIGHTHS: u64 = 3;
-/// The limit of descriptors that a system has where it does not say.
+/// The assumed limit of descriptors if the system does not report one.
 const USUAL_DESCRIPTORS: u64 = 1024;
-/// The number of descriptors that the coordinator asks the system for. More are not needed.
+/// The number of descriptors that the coordinator requests from the system.
 const WANTED_DESCRIPTORS: u64 = 65_536;
-/// The number of descriptors below which nothing is served: an idle connection would soon be closed for a new
-/// one, and its peer would connect again and close another.
+/// Minimum number of descriptors for a server. With fewer, each new connection would soon close an idle one,
+/// whose peer would connect again and close another.
 const MIN_DESCRIPTORS: u64 = 48;
 
 /// A limit of descriptors that is too low to serve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "this process may have {0} open files, and a process that serves needs {MIN_DESCRIPTORS}; raise the \
-     limit (ulimit -n)"
+    "this process may have {0} open files, but a server needs {MIN_DESCRIPTORS}; raise the limit \
+     (ulimit -n)"
 )]
 pub struct FewDescriptors(u64);
 
-/// Limits of the connections of a process.
+/// The limits of a process's connections.
 #[derive(Clone, Copy, Debug)]
 pub struct ConnectionLimits {
-    /// Maximum number of connections that are not workers'.
+    /// Maximum number of connections of callers that are not workers.
     pub general: usize,
-    /// Maximum number of these with one address.
+    /// Maximum number of connections from one address, except workers' connections.
     pub of_address: usize,
     /// Maximum number of connections of workers.
     pub workers: usize,
-    /// Maximum number of handshakes at a time.
+    /// Maximum number of simultaneous handshakes.
     pub handshakes: usize,
-    /// Maximum number of handshakes at a time with one address.
+    /// Maximum number of simultaneous handshakes from one address.
     pub handshakes_of_address: usize,
     /// Maximum duration of a handshake. Default: 5 s.
     pub handshake: Duration,
     /// The time after which a connection without a request is closed. It includes the time until the head of
     /// the first request has arrived. Default: 30 s.
     pub idle: Duration,
-    /// The time that an idle connection has to end by itself, before it is cut. Default: 5 s.
+    /// The time that an idle connection has to end by itself before it is closed. Default: 5 s.
     pub grace: Duration,
     /// Maximum time between two parts of a request's body over HTTP/1. Default: 30 s.
     pub silence: Duration,
@@ -58,8 +59,8 @@ pub struct ConnectionLimits {
 }
 
 impl ConnectionLimits {
-    /// Returns the limits for a process that may have this many descriptors: three eighths stay for files, a
-    /// third of the others is reserved for workers.
+    /// Returns the limits for a process with this many descriptors. Three eighths are reserved for files, and
+    /// a third of the others is reserved for workers.
     pub fn for_descriptors(descriptors: u64) -> Self {
         let sockets =
             usize::try_from(descriptors - descriptors / 8 * RESERVED_EIGHTHS).unwrap_or(usize::MAX);
@@ -80,11 +81,11 @@ impl ConnectionLimits {
         }
     }
 
-    /// Raises the process's limit of descriptors as far as the system allows, and returns the limits that
-    /// follow.
+    /// Raises the process's limit of descriptors as far as the system allows, and returns the resulting
+    /// limits.
     ///
     /// # Errors
-    /// [`FewDescriptors`] when the system allows too few.
+    /// [`FewDescriptors`] if the system allows too few descriptors.
     pub fn of_process() -> Result<Self, FewDescriptors> {
         Self::for_process(raise_descriptors())
     }
@@ -97,14 +98,15 @@ impl ConnectionLimits {
     }
 }
 
-/// Raises the soft limit of descriptors, and returns the limit that holds now. Where the system has no such
-/// limit there is as much as is wanted.
+/// Raises the soft limit of descriptors, and returns the current limit. On a system without such a limit,
+/// returns [`WANTED_DESCRIPTORS`].
 fn raise_descriptors() -> u64 {
     match rlimit::increase_nofile_limit(WANTED_DESCRIPTORS) {
         Ok(descriptors) => descriptors,
         Err(e) => {
             tracing::warn!(
-                "the limit of open files stays as it is: {e}; raise it with ulimit -n {WANTED_DESCRIPTORS}"
+                "the limit of open files cannot be raised: {e}; raise it with ulimit -n \
+                 {WANTED_DESCRIPTORS}"
             );
             USUAL_DESCRIPTORS
         }
@@ -138,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn few_descriptors_are_refused() {
+    fn few_descriptors_are_rejected() {
         assert_eq!(
             ConnectionLimits::for_process(47).unwrap_err(),
             FewDescriptors(47)

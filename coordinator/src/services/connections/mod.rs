@@ -1,8 +1,8 @@
-//! Connections of all listeners: accepted, encrypted, served and closed in one place.
+//! Connections of all listeners: they are accepted, encrypted, served and closed in one place.
 //!
 //! `limits.rs` limits the handshake, the time until the head of the first request, the pause between two
-//! requests and the time that an answer stays unread. At a cap, `table.rs` closes the connection that has
-//! been idle longest for a new one.
+//! requests, and the time for which an answer stays unread. When a cap is reached, `table.rs` closes the
+//! connection that has been idle longest to admit a new one.
 
 mod error;
 mod limits;
@@ -38,13 +38,13 @@ use super::answer_right;
 use super::silence::until_silent;
 use super::tls::Tls;
 
-/// The time between two pings on a connection of HTTP/2.
+/// The time between two pings on an HTTP/2 connection.
 const KEEPALIVE: Duration = Duration::from_secs(10);
-/// Calls and streams of a connection at a time.
+/// Maximum number of simultaneous calls and streams of a connection.
 const MOST_STREAMS: u32 = 256;
 /// Maximum size of the head of a request over HTTP/1, in bytes.
 const MAX_HEAD: usize = 32 << 10;
-/// The pause after the system had no room for another connection.
+/// The pause in accepting connections after the system could not open another one.
 const NO_ROOM: Duration = Duration::from_millis(100);
 
 /// An address on which connections arrive.
@@ -63,12 +63,12 @@ pub(super) enum Protocol {
     Http2,
 }
 
-/// The connection of a request, among the extensions of the request.
+/// The connection of a request, as an extension of the request.
 #[derive(Clone)]
 pub(super) struct Peer {
     connection: Arc<Connection>,
     connections: Arc<Connections>,
-    /// The certificate that the peer has shown, which was checked.
+    /// The peer's certificate, which TLS has checked.
     pub(super) certificate: Option<Arc<CertificateDer<'static>>>,
 }
 
@@ -78,18 +78,18 @@ impl Peer {
         self.connections.limits()
     }
 
-    /// Marks the connection as one of an admitted caller.
+    /// Marks the connection as used by an admitted caller.
     pub(super) fn admitted(&self, is_worker: bool) {
         self.connection.admitted(&self.connections, is_worker);
     }
 }
 
 impl Listener {
-    /// Listens on `address`. An address that other machines reach is rejected unless `protected`: by
-    /// encryption, or because the user has declared the network private.
+    /// Listens on `address`. An address that other machines can reach is rejected unless it is `protected`:
+    /// by encryption, or because the user has declared the network private.
     ///
     /// # Errors
-    /// [`ServeError`] when the address is not loopback or cannot be listened on.
+    /// [`ServeError`] if the address is reachable and not protected, or if listening fails.
     pub async fn bind(
         address: SocketAddr,
         protected: bool,
@@ -109,12 +109,12 @@ impl Listener {
     /// Returns the address, with the port that the system has chosen.
     ///
     /// # Errors
-    /// The system's.
+    /// [`io::Error`] if the system cannot report the address.
     pub fn local_addr(&self) -> io::Result<SocketAddr> {
         self.socket.local_addr()
     }
 
-    /// Serves connections until this is dropped, which closes all of them.
+    /// Serves connections until the future is dropped, which closes all of them.
     pub(super) async fn serve<S>(
         self,
         tls: Option<Arc<Tls>>,
@@ -128,13 +128,13 @@ impl Listener {
     {
         let mut served = JoinSet::new();
         loop {
-            // Finished connections are forgotten here. A panic of one was reported by its thread.
+            // Remove finished connections. The thread of a connection has already reported its panic.
             while served.try_join_next().is_some() {}
             let (stream, from) = match self.socket.accept().await {
                 Ok(accepted) => accepted,
                 Err(e) => {
                     tracing::warn!("a connection was not accepted: {e}");
-                    // A connection that its client has given up needs no room.
+                    // An aborted connection needs no descriptor, so no other connection has to close.
                     if e.kind() != io::ErrorKind::ConnectionAborted {
                         self.connections.evict_one();
                         tokio::time::sleep(NO_ROOM).await;
@@ -162,7 +162,7 @@ impl Listener {
 
 type Broken = Box<dyn std::error::Error + Send + Sync>;
 
-/// Serves a connection from its handshake to its end.
+/// Serves a connection from the handshake to its end.
 async fn connected<S>(
     stream: TcpStream,
     entry: &ConnectionEntry,
@@ -176,7 +176,7 @@ where
     S: Clone + Send + Sync + 'static,
     S::Future: Send,
 {
-    // Without nodelay every small answer waits 40 ms for the acknowledgement of the previous one.
+    // Without nodelay, every small answer would wait 40 ms for the acknowledgement of the previous one.
     stream.set_nodelay(true)?;
     let connection = Arc::clone(&entry.connection);
     let limits = *connections.limits();
@@ -234,7 +234,8 @@ where
         request.extensions_mut().insert(peer.clone());
         let request = request.map(|body| match protocol {
             Protocol::Http1 => until_silent(Body::new(body), silence),
-            // Each call has its limit: streams of workers are silent while a tile is computed.
+            // Each call has its own limit, because streams of workers are silent while a worker computes a
+            // tile.
             Protocol::Http2 => Body::new(body),
         });
         let answer = service.clone().oneshot(request);
@@ -244,7 +245,7 @@ where
         }
     });
     let stream = TokioIo::new(stream);
-    // The two kinds of connection share no trait.
+    // The two types of connections have no common trait.
     macro_rules! to_its_end {
         ($served:expr) => {{
             let mut served = std::pin::pin!($served);
@@ -253,12 +254,12 @@ where
                 () = connection.idle_for(limits.idle) => {}
             }
             served.as_mut().graceful_shutdown();
-            // A call that is on its way is still answered, however long that takes.
+            // A call that is in progress is still answered, however long the call lasts.
             loop {
                 match tokio::time::timeout(limits.grace, served.as_mut()).await {
                     Ok(ended) => return Ok(ended?),
                     Err(_) if connection.has_requests() => {}
-                    // The peer does not end the connection, so it is cut.
+                    // The peer does not close the connection, so the server does.
                     Err(_) => return Ok(()),
                 }
             }

@@ -1,7 +1,6 @@
-//! The table of open connections: their caps, and the choice of the connection to close when a cap is
-//! reached.
+//! The table of open connections: caps, and the choice of the connection to close when a cap is reached.
 //!
-//! Connections of workers are counted apart, so that no number of other connections takes a worker's place.
+//! Connections of workers are counted separately, so that other connections cannot displace a worker.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -12,7 +11,7 @@ use tokio::sync::Notify;
 
 use super::limits::ConnectionLimits;
 
-/// Pauses between two checks of a connection with open requests, as a part of the idle limit.
+/// The number of times per idle limit that the server checks if a connection still has open requests.
 const CHECKS: u32 = 4;
 
 /// The open connections of all listeners of a process.
@@ -28,7 +27,7 @@ struct Table {
     all: BTreeMap<u64, Arc<Connection>>,
 }
 
-/// The callers that a connection has proved to carry.
+/// The trust in a connection, from the callers of its requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(in crate::services) enum Trust {
     /// No request of the connection was admitted.
@@ -51,14 +50,14 @@ pub(in crate::services) struct Connection {
 struct State {
     is_handshaking: bool,
     trust: Trust,
-    /// Requests whose answers have not ended.
+    /// The number of requests whose answers have not ended.
     requests: u32,
-    /// The time of the last byte while requests are open; otherwise the time of the last request's end, or of
-    /// the start.
+    /// The time of the last byte while requests are open. Otherwise the end of the last request, or the start
+    /// of the connection.
     since: Instant,
 }
 
-/// A connection's entry in the table, which ends when this is dropped.
+/// A connection's entry in the table. Dropping it removes the connection.
 #[derive(Debug)]
 pub(super) struct ConnectionEntry {
     table: Arc<Connections>,
@@ -84,7 +83,7 @@ impl Connections {
         &self.limits
     }
 
-    /// Adds a connection. Where a cap is reached, the connection that has been idle longest is closed for it.
+    /// Adds a connection. If a cap is reached, closes the connection that has been idle longest.
     pub(super) fn add(self: &Arc<Self>, from: IpAddr, is_handshaking: bool) -> ConnectionEntry {
         let ConnectionLimits {
             general,
@@ -125,7 +124,7 @@ impl Connections {
         }
     }
 
-    /// Closes the connection that has been idle longest, because the process has no descriptor left.
+    /// Closes the connection that has been idle longest, because the process has no free descriptor.
     pub(super) fn evict_one(&self) {
         let mut table = self.table();
         let is_evictable = |_: &Connection, state: &State| state.trust < Trust::Worker;
@@ -144,13 +143,13 @@ impl Connections {
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Table {
-    /// Closes connections that `counts` selects until one more fits below the cap.
+    /// Closes connections that `counts` selects, until one more connection fits below the cap.
     fn make_room(&mut self, cap: usize, counts: impl Fn(&Connection, &State) -> bool) {
         loop {
             let mut count = 0;
@@ -159,7 +158,7 @@ impl Table {
                 let state = connection.state();
                 if counts(connection, &state) {
                     count += 1;
-                    // Connections that work for an admitted caller come last.
+                    // Connections with open requests of admitted callers are closed last.
                     let is_at_work = state.trust > Trust::Unknown && state.requests > 0;
                     let order = (is_at_work, state.since, *number);
                     first =
@@ -171,7 +170,7 @@ impl Table {
             };
             if let Some(evicted) = self.all.remove(&number) {
                 tracing::debug!(
-                    "a connection with {} is closed: {count} are open",
+                    "a connection with {} is closed: the cap of {cap} connections is reached",
                     evicted.from
                 );
                 evicted.evicted.notify_one();
@@ -181,8 +180,8 @@ impl Table {
 }
 
 impl Connection {
-    /// Marks a connection whose request was admitted. Without room among the workers a worker's connection
-    /// counts as any other.
+    /// Marks a connection whose request was admitted. If the workers' cap is reached, a worker's connection
+    /// counts like any other.
     pub(in crate::services) fn admitted(&self, table: &Connections, is_worker: bool) {
         let before = self.state().trust;
         let now = match is_worker && before < Trust::Worker && table.has_room_for_worker() {
@@ -192,7 +191,7 @@ impl Connection {
         self.state().trust = now.max(before);
     }
 
-    /// Begins a request.
+    /// Registers a new request.
     pub(super) fn begin(self: &Arc<Self>) -> OpenRequest {
         let mut state = self.state();
         state.requests += 1;
@@ -205,7 +204,8 @@ impl Connection {
         self.state().is_handshaking = false;
     }
 
-    /// Notes that bytes were transferred. A connection without requests stays idle whatever it sends.
+    /// Records that bytes were transferred. Bytes do not affect the idle time of a connection without
+    /// requests.
     pub(super) fn moved(&self) {
         let mut state = self.state();
         if state.requests > 0 {
@@ -223,7 +223,7 @@ impl Connection {
         self.evicted.notified().await;
     }
 
-    /// Waits until the connection has had no request for this time.
+    /// Waits until the connection has had no request for the duration `limit`.
     pub(super) async fn idle_for(&self, limit: Duration) {
         loop {
             let (requests, since) = {
@@ -242,7 +242,7 @@ impl Connection {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -286,7 +286,7 @@ mod tests {
     fn table_closes_longest_idle_connection_at_cap() {
         let table = table(3, 3, 1);
         let [first, second, third] = [(); 3].map(|()| table.add(HERE, false));
-        // A finished request makes the first one the youngest.
+        // After a finished request, the first connection has been idle for the shortest time.
         first.connection.admitted(&table, false);
         drop(first.connection.begin());
         let _fourth = table.add(HERE, false);
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn half_sent_request_of_stranger_protects_nothing() {
+    fn half_sent_request_of_unknown_caller_does_not_protect() {
         let table = table(2, 2, 1);
         let [admitted, stranger] = [(); 2].map(|()| table.add(HERE, false));
         admitted.connection.admitted(&table, false);
@@ -319,7 +319,7 @@ mod tests {
         let flood: Vec<ConnectionEntry> = (0..50).map(|_| table.add(HERE, false)).collect();
         assert!(is_open(&worker) && is_open(&watcher));
         assert_eq!(flood.iter().filter(|entry| is_open(entry)).count(), 1);
-        // A second worker finds no place among the workers and can be closed.
+        // The second worker exceeds the workers' cap, so its connection can be closed.
         let second = table.add(THERE, false);
         second.connection.admitted(&table, true);
         drop(second.connection.begin());
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn lack_of_descriptors_closes_longest_idle_connection_beside_workers() {
+    fn lack_of_descriptors_closes_longest_idle_connection_except_workers() {
         let table = table(100, 100, 2);
         let [first, worker, second] = [(); 3].map(|()| table.add(HERE, false));
         worker.connection.admitted(&table, true);

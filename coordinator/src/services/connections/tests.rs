@@ -1,4 +1,4 @@
-//! Tests of listeners on loopback, with limits that are short or small.
+//! Tests of listeners on loopback, with short time limits and small caps.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -19,13 +19,13 @@ use super::*;
 use crate::TlsFiles;
 
 const SHORT: Duration = Duration::from_millis(100);
-/// How long the end of a connection may take before a test fails.
+/// Maximum time for the end of a connection before a test fails.
 const LIMIT: Duration = Duration::from_secs(20);
 const NEVER: Duration = Duration::from_secs(3600);
 /// The beginning of every connection of HTTP/2, with empty settings.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
-/// Limits that nothing in a test reaches.
+/// Returns limits that no test reaches.
 fn wide() -> ConnectionLimits {
     let limits = ConnectionLimits::for_descriptors(65_536);
     ConnectionLimits {
@@ -77,11 +77,11 @@ async fn connect(served: &ServedSockets) -> TcpStream {
     TcpStream::connect(served.address).await.unwrap()
 }
 
-/// Waits for the end of a connection and returns the bytes that came before.
+/// Waits for the end of a connection, and returns the bytes that were received.
 async fn end(mut stream: impl AsyncRead + Unpin) -> String {
     let mut text = Vec::new();
     let read = tokio::time::timeout(LIMIT, stream.read_to_end(&mut text)).await;
-    // A connection that is cut with bytes unread is reset.
+    // The system resets a connection that is closed with unread bytes.
     let _ = read.expect("the connection stays open");
     String::from_utf8_lossy(&text).into_owned()
 }
@@ -124,7 +124,7 @@ async fn listener_closes_connections_without_request() {
 }
 
 #[tokio::test]
-async fn bytes_without_request_do_not_prolong_a_connection() {
+async fn bytes_without_request_do_not_prolong_connection() {
     let limits = ConnectionLimits {
         idle: SHORT,
         ..wide()
@@ -163,8 +163,8 @@ async fn body_that_stops_ends_its_request() {
 }
 
 #[tokio::test]
-async fn peer_that_reads_nothing_is_cut() {
-    /// Bytes without end, which report their own end.
+async fn peer_that_does_not_read_is_disconnected() {
+    /// A body of endless bytes that reports when it is dropped.
     struct EndlessBytes(Option<oneshot::Sender<()>>);
     impl Stream for EndlessBytes {
         type Item = Result<Bytes, Infallible>;
@@ -178,7 +178,7 @@ async fn peer_that_reads_nothing_is_cut() {
     impl Drop for EndlessBytes {
         fn drop(&mut self) {
             if let Some(dropped) = self.0.take() {
-                // The test waits for it.
+                // The test waits for this message.
                 dropped.send(()).unwrap();
             }
         }
@@ -211,7 +211,7 @@ async fn peer_that_reads_nothing_is_cut() {
 }
 
 #[tokio::test]
-async fn full_listener_closes_oldest_connections_for_newcomers() {
+async fn full_listener_closes_oldest_connections() {
     for limits in [
         ConnectionLimits {
             general: 8,
@@ -230,14 +230,15 @@ async fn full_listener_closes_oldest_connections_for_newcomers() {
             idle.push(stream);
         }
         assert!(asked(connect(&served).await).await.ends_with("hello"));
-        // The oldest ones have gone.
+        // The oldest connections are closed.
         for stream in idle.drain(..40) {
             end(stream).await;
         }
     }
 }
 
-/// Creates an encryption with a fresh certificate in this folder, and a client that trusts the certificate.
+/// Creates a TLS configuration with a new certificate in this folder, and a client that trusts the
+/// certificate.
 fn encrypted(folder: &Path) -> (Arc<Tls>, TlsConnector) {
     let signed = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
     let [certificate, key] = ["server.pem", "server.key"].map(|name| folder.join(name));
@@ -271,7 +272,7 @@ async fn shaken(
 async fn handshakes_end_in_time_and_leave_room() {
     let folder = tempfile::tempdir().unwrap();
     let (tls, client) = encrypted(folder.path());
-    // A handshake that does not begin.
+    // A handshake that never starts.
     let limits = ConnectionLimits {
         handshake: SHORT,
         ..wide()
@@ -285,7 +286,7 @@ async fn handshakes_end_in_time_and_leave_room() {
     };
     let served = serve(limits, Some(Arc::clone(&tls)), Protocol::Http1, hello()).await;
     assert_eq!(end(shaken(&client, &served).await).await, "");
-    // More handshakes than there may be, from one address and in all.
+    // More handshakes than the caps permit, from one address and in total.
     for limits in [
         ConnectionLimits {
             handshakes: 4,

@@ -1,4 +1,4 @@
-//! A socket that notes when bytes move, and breaks when its peer stops reading.
+//! A socket that records transferred bytes, and fails if its peer stops reading.
 
 use std::io;
 use std::pin::Pin;
@@ -11,12 +11,13 @@ use tokio::time::Sleep;
 
 use super::table::Connection;
 
-/// A socket of a connection.
+/// A socket that reports each transfer to its connection, and fails with `TimedOut` if its peer leaves
+/// written bytes unread for too long.
 pub(super) struct WatchedSocket<IO> {
     socket: IO,
     connection: Arc<Connection>,
     unread: Duration,
-    /// The end of the time that the peer has to read on.
+    /// The time at which the write fails if the peer does not read.
     stalled: Option<Pin<Box<Sleep>>>,
 }
 
@@ -31,7 +32,7 @@ impl<IO> WatchedSocket<IO> {
         }
     }
 
-    /// Notes the outcome of a write.
+    /// Handles the outcome of a write.
     fn written<T>(
         &mut self,
         context: &mut Context<'_>,

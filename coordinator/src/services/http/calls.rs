@@ -1,4 +1,4 @@
-//! The unary calls of the services as JSON.
+//! The unary calls of the services as JSON over HTTP.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use tonic::{Request, Status};
 use super::site::{Site, failure, is_json, json};
 use crate::access::Caller;
 
-/// Calls the method of this name among those that are listed.
+/// Calls the listed method with this name.
 macro_rules! call_by_name {
     ($service:expr, $caller:expr, $method:expr, $body:expr, { $($name:literal => $call:ident,)* }) => {
         match $method {
@@ -27,7 +27,7 @@ macro_rules! call_by_name {
     };
 }
 
-/// A call.
+/// Handles a call over HTTP.
 pub(super) async fn call(
     State(site): State<Arc<Site>>,
     Path((service, method)): Path<(String, String)>,
@@ -76,11 +76,12 @@ pub(super) async fn call(
 
 fn unknown() -> Status {
     Status::unimplemented(
-        "there is no such call; POST /sightline.v1.Jobs/List, for example. Streams are gRPC's alone",
+        "the call does not exist; use POST /sightline.v1.Jobs/List, for example; streams are \
+         available only through gRPC",
     )
 }
 
-/// Reads a request, calls, and writes the answer.
+/// Decodes a request, calls the service, and encodes the answer.
 async fn answer<Q: DeserializeOwned, A: Serialize>(
     body: &[u8],
     caller: Option<Caller>,
@@ -88,7 +89,7 @@ async fn answer<Q: DeserializeOwned, A: Serialize>(
 ) -> Result<String, Status> {
     let body = if body.is_empty() { b"{}" } else { body };
     let request: Q = serde_json::from_slice(body).map_err(|e| {
-        Status::invalid_argument(format!("the request is not its message as JSON: {e}"))
+        Status::invalid_argument(format!("the request is not a valid message as JSON: {e}"))
     })?;
     let mut request = Request::new(request);
     if let Some(caller) = caller {

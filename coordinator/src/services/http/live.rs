@@ -1,4 +1,4 @@
-//! What changes, as a stream of server-sent events: `jobs`, `workers` and, of one job, `job`.
+//! Changes as a stream of server-sent events: `jobs`, `workers`, and for one job `job`.
 
 use std::convert::Infallible;
 use std::fmt::Write as _;
@@ -21,38 +21,38 @@ use super::super::blocking::blocking;
 use super::super::{status, wire};
 use super::site::{Site, failure, json};
 use crate::access::Caller;
+use crate::coordinator::Coordinator;
 use crate::jobs::tiles;
-use crate::state::Coordinator;
 
-/// Shortest time between two messages about a job.
+/// Minimum time between two messages about a job.
 const EVERY: Duration = Duration::from_secs(1);
-/// Events of a job that a message has at most; those before can be asked for.
+/// Maximum number of a job's events in a message. Earlier events are available on request.
 const EVENTS: usize = 500;
-/// Messages that wait until a watcher reads them.
+/// Maximum number of messages that wait for a watcher.
 const WAITING: usize = 8;
 
-/// What a watcher wants to hear of.
+/// The event topics that a client subscribes to.
 #[derive(Deserialize)]
-pub(super) struct Wanted {
+pub(super) struct Topics {
     job: Option<u64>,
     #[serde(default)]
     workers: bool,
 }
 
-type Out = mpsc::Sender<Result<Event, Infallible>>;
+type EventSender = mpsc::Sender<Result<Event, Infallible>>;
 
-/// The stream.
+/// Streams the changes of the requested topics.
 pub(super) async fn live(
     State(site): State<Arc<Site>>,
-    Query(wanted): Query<Wanted>,
+    Query(topics): Query<Topics>,
     caller: Option<Extension<Caller>>,
 ) -> Response {
     let (out, stream) = mpsc::channel(WAITING);
     tokio::spawn(tell_jobs(Arc::clone(&site), out.clone()));
-    if wanted.workers {
+    if topics.workers {
         tokio::spawn(tell_workers(Arc::clone(&site), out.clone()));
     }
-    if let Some(job) = wanted.job {
+    if let Some(job) = topics.job {
         tokio::spawn(tell_job(
             site,
             caller.map(|Extension(caller)| caller),
@@ -66,23 +66,23 @@ pub(super) async fn live(
         .into_response()
 }
 
-/// Sends one message; false when the watcher has gone.
-async fn say(out: &Out, name: &str, data: &str) -> bool {
+/// Sends one message. Returns false if the watcher has disconnected.
+async fn say(out: &EventSender, name: &str, data: &str) -> bool {
     out.send(Ok(Event::default().event(name).data(data)))
         .await
         .is_ok()
 }
 
-async fn tell_jobs(site: Arc<Site>, out: Out) {
+async fn tell_jobs(site: Arc<Site>, out: EventSender) {
     let mut moments = site.snapshots.jobs.subscribe();
     let mut seen = None;
-    // What follows may have been made long ago.
+    // The next snapshot may be old, so the clock is sent first.
     if !say(&out, "clock", &site.coordinator.now().unix_ms.to_string()).await {
         return;
     }
     loop {
         let moment = moments.borrow_and_update().clone();
-        // Who missed a moment is told all.
+        // A watcher that missed a snapshot receives the whole state.
         let text = match seen {
             Some(seen) if seen + 1 == moment.number => moment.change,
             _ => moment.whole,
@@ -98,7 +98,7 @@ async fn tell_jobs(site: Arc<Site>, out: Out) {
     }
 }
 
-async fn tell_workers(site: Arc<Site>, out: Out) {
+async fn tell_workers(site: Arc<Site>, out: EventSender) {
     let mut lists = site.snapshots.workers.subscribe();
     loop {
         let list = Arc::clone(&lists.borrow_and_update());
@@ -112,13 +112,13 @@ async fn tell_workers(site: Arc<Site>, out: Out) {
     }
 }
 
-/// Tells of one job: the job, how its tiles stand, and what happened.
-async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) {
+/// Sends changes of one job: its summary, the states of its tiles, and its events.
+async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: EventSender) {
     let c = &site.coordinator;
-    let mut changes = c.watched().subscribe(id);
-    let mut grown = c.event_log.grown();
+    let mut changes = c.dispatcher.watch_job(id);
+    let mut grown = c.telemetry.event_log.grown();
     let mut before: Vec<TileStatus> = Vec::new();
-    let mut after = c.event_log.before_last(id, EVENTS);
+    let mut after = c.telemetry.event_log.before_last(id, EVENTS);
     loop {
         changes.mark_unchanged();
         grown.mark_unchanged();
@@ -136,13 +136,13 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
                 return;
             }
         };
-        let standings =
-            move |c: &Arc<Coordinator>| tiles::standings(c, id).map_err(|e| status::of_store(&e));
-        let Ok(now) = blocking(c, standings).await else {
+        let statuses =
+            move |c: &Arc<Coordinator>| tiles::statuses(c, id).map_err(|e| status::of_store(&e));
+        let Ok(now) = blocking(c, statuses).await else {
             return;
         };
         let tiles = changed_tiles(&before, &now);
-        let (events, upto) = c.event_log.after(Some(id), after, EVENTS);
+        let (events, upto) = c.telemetry.event_log.after(Some(id), after, EVENTS);
         let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
         let Ok(events) = serde_json::to_string(&events) else {
             return;
@@ -161,14 +161,14 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
         tokio::time::sleep(EVERY).await;
         tokio::select! {
             changed = changes.changed() => if changed.is_err() { return },
-            // Deleted and retried jobs are heard of here.
+            // Events also report that the job was deleted or retried.
             () = of_job(c, &mut grown, id, after) => {}
             () = out.closed() => return,
         }
     }
 }
 
-/// Waits until something happens to a job.
+/// Waits until an event of a job occurs.
 async fn of_job(
     c: &Coordinator,
     grown: &mut tokio::sync::watch::Receiver<u64>,
@@ -176,21 +176,22 @@ async fn of_job(
     mut after: u64,
 ) {
     loop {
-        let (found, upto) = c.event_log.after(Some(id), after, 1);
+        let (found, upto) = c.telemetry.event_log.after(Some(id), after, 1);
         if !found.is_empty() {
             return;
         }
-        // What was looked at is not looked at again.
+        // Skip the events that were already inspected.
         after = upto;
         if grown.changed().await.is_err() {
             return;
         }
-        // Others' events come often.
+        // Events of other jobs are frequent, so pause before the next look.
         tokio::time::sleep(EVERY / 2).await;
     }
 }
 
-/// How tiles stand: a digit for each tile, or the changes since `before` as pairs of tile and digit.
+/// Formats the states of tiles: a digit for each tile, or the changes since `before` as pairs of tile and
+/// digit.
 fn changed_tiles(before: &[TileStatus], now: &[TileStatus]) -> String {
     if before.len() != now.len() {
         let digits: String = now.iter().map(|s| char::from(b'0' + *s as u8)).collect();
@@ -211,14 +212,14 @@ fn changed_tiles(before: &[TileStatus], now: &[TileStatus]) -> String {
     out
 }
 
-/// What an asker of events knows.
+/// The number of the last event that the client has received.
 #[derive(Deserialize)]
 pub(super) struct Since {
     #[serde(default)]
     after: u64,
 }
 
-/// Events of a job, oldest first, at most 5000; `next` is what to ask for after them.
+/// Returns events of a job, oldest first, at most 5000. `next` is the number to request later events with.
 pub(super) async fn events(
     State(site): State<Arc<Site>>,
     Path(job): Path<u64>,
@@ -226,6 +227,7 @@ pub(super) async fn events(
 ) -> Response {
     let (events, next) =
         site.coordinator
+            .telemetry
             .event_log
             .after(Some(JobId(job)), since.after, 10 * EVENTS);
     let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
@@ -240,7 +242,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiles_are_told_whole_and_then_by_change() {
+    fn tiles_are_sent_whole_and_then_as_changes() {
         use TileStatus::{Done, Ready, Running};
         assert_eq!(changed_tiles(&[], &[Ready, Running, Done]), "\"245\"");
         assert_eq!(

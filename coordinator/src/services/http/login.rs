@@ -1,5 +1,7 @@
-//! Login of a browser: a page takes a token, and the browser keeps the id of a session in a cookie, which it
-//! sends to this site only and shows to no program.
+//! Login of browsers with a token.
+//!
+//! A page accepts a token. The browser stores the id of a session in a cookie, which it sends only to this
+//! site and hides from scripts.
 
 use std::sync::Arc;
 
@@ -10,7 +12,7 @@ use axum::response::{IntoResponse as _, Response};
 use serde::Deserialize;
 use tonic::Status;
 
-use super::super::guard;
+use super::super::authorize;
 use super::logins::LIFE;
 use super::pages::{Nonce, html};
 use super::site::{Site, failure};
@@ -18,7 +20,7 @@ use crate::access::{Access, Caller, TokenDigest};
 
 /// Maximum size of the form, in bytes.
 pub(super) const MAX_FORM: usize = 4096;
-/// The page. A stylesheet of one line keeps it free of attributes that the content policy forbids.
+/// The login page. A stylesheet of one line replaces attributes that the content policy forbids.
 const PAGE: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>Sightline</title>\
     <style{{nonce}}>body{font:16px system-ui;max-width:32em;margin:4em auto}</style><h1>Sightline</h1>\
     <form method=post action=/login><p><label>A token with the scope admin<br>\
@@ -27,29 +29,30 @@ const PAGE: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>Sigh
     <p>The dashboard shows the jobs of all users. \
     `sightline token new --user NAME --scope admin` makes a token.";
 
-/// The content of the form.
+/// The fields of the form.
 #[derive(Deserialize)]
 pub(super) struct LoginForm {
     token: String,
 }
 
-/// Returns the page that asks for a token.
+/// Returns the login page, which requests a token.
 pub(super) async fn page() -> Response {
     let made =
         Nonce::random().map(|nonce| html(&nonce, PAGE.replace("{{nonce}}", &nonce.attribute())));
     made.unwrap_or_else(|status| failure(&status))
 }
 
-/// Returns the page that asks for a token, as the answer to a page that needs one.
+/// Returns the login page as the answer to a request without a valid token.
 pub(super) async fn ask() -> Response {
     (StatusCode::UNAUTHORIZED, page().await).into_response()
 }
 
 /// Checks the submitted token and sets the login cookie.
 pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<LoginForm>) -> Response {
-    // Where callers need no token there is no session either.
+    // Without tokens, sessions do not exist.
     let Some(access) = site
         .coordinator
+        .users
         .access
         .get()
         .filter(|access| access.has_tokens())
@@ -57,7 +60,7 @@ pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<LoginF
         return (StatusCode::SEE_OTHER, [(header::LOCATION, "/")]).into_response();
     };
     let token = sent.token.trim();
-    if let Err(status) = guard::admitted_with(access, Some(token), None, "/") {
+    if let Err(status) = authorize::admitted_with(access, Some(token), None, "/") {
         return failure(&status);
     }
     match site
@@ -73,7 +76,7 @@ pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<LoginF
             (StatusCode::SEE_OTHER, headers).into_response()
         }
         Err(e) => failure(&Status::internal(format!(
-            "no session without random numbers: {e}"
+            "the session cannot be created without random numbers: {e}"
         ))),
     }
 }
@@ -91,7 +94,8 @@ pub(super) async fn logout(State(site): State<Arc<Site>>, headers: HeaderMap) ->
     (StatusCode::SEE_OTHER, headers).into_response()
 }
 
-/// Returns the caller of a request, by its header or its session, if the caller may make the request.
+/// Authenticates the caller of a request by its header or its session, and checks that the caller may make
+/// the request.
 pub(super) fn admitted(
     site: &Site,
     access: &Access,
@@ -100,14 +104,14 @@ pub(super) fn admitted(
 ) -> Result<Caller, Status> {
     let Some(id) = session(site, headers).filter(|_| !headers.contains_key(header::AUTHORIZATION))
     else {
-        return guard::admitted(access, headers, None, path);
+        return authorize::admitted(access, headers, None, path);
     };
     let ended = || Status::unauthenticated("the session has ended; log in again at /login");
     let token = site
         .logins
         .token(id, site.coordinator.now().at)
         .ok_or_else(ended)?;
-    guard::admitted_by(access, path, |access| {
+    authorize::admitted_by(access, path, |access| {
         access
             .identify_digest(&token)
             .inspect_err(|_| site.logins.end(id))
@@ -127,13 +131,13 @@ fn session<'a>(site: &Site, headers: &'a HeaderMap) -> Option<&'a str> {
     own.find(|(found, _)| *found == name).map(|(_, id)| id)
 }
 
-/// Returns the name of the cookie. Browsers send the cookies of a host to all its ports, so the port is a
-/// part.
+/// Returns the name of the cookie. Browsers send the cookies of a host to all its ports, so the name contains
+/// the port.
 fn name(port: u16) -> String {
     format!("sightline-session-{port}")
 }
 
-/// Returns the cookie with a session's id for the given number of seconds.
+/// Returns the cookie with a session's id, which expires after the given number of seconds.
 fn cookie(port: u16, is_encrypted: bool, id: &str, seconds: u64) -> String {
     let secure = if is_encrypted { "; Secure" } else { "" };
     format!(
@@ -147,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cookie_is_hidden_from_programs_other_sites_and_other_ports() {
+    fn cookie_is_hidden_from_scripts_other_sites_and_other_ports() {
         let parts = |is_encrypted| -> Vec<String> {
             cookie(7601, is_encrypted, "id", LIFE.as_secs())
                 .split("; ")

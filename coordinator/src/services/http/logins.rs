@@ -1,5 +1,5 @@
-//! Sessions of browsers: random ids that stand for a token, for twelve hours, until a logout, or until the
-//! token is revoked.
+//! Sessions of browsers: random ids that represent a token. A session ends after twelve hours, at a logout,
+//! or when the token is revoked.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -16,7 +16,7 @@ const MAX_SESSIONS: usize = 4096;
 #[derive(Debug, Default)]
 pub(super) struct Logins(Mutex<BTreeMap<SessionKey, Session>>);
 
-/// The digest of a session's id. The memory of the process holds no id.
+/// The digest of a session's id. The process does not keep the ids in memory.
 type SessionKey = [u8; 32];
 
 /// A session.
@@ -27,10 +27,10 @@ struct Session {
 }
 
 impl Logins {
-    /// Begins a session with a token, and returns the id of the session.
+    /// Starts a session for a token, and returns the id of the session.
     ///
     /// # Errors
-    /// The system's, when there are no random numbers.
+    /// [`getrandom::Error`] if the system has no random numbers.
     pub(super) fn begin(
         &self,
         token: TokenDigest,
@@ -70,7 +70,7 @@ impl Logins {
     }
 
     fn all(&self) -> MutexGuard<'_, BTreeMap<SessionKey, Session>> {
-        // Each change is whole before anything can panic.
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -101,13 +101,13 @@ mod tests {
             (logins.token(&first, now), logins.token(&second, now)),
             (None, Some(token(2)))
         );
-        // A session that has ended stays in no table.
+        // A new session removes the sessions that have ended.
         logins.begin(token(3), now + LIFE).unwrap();
         assert_eq!(logins.all().len(), 1);
     }
 
     #[test]
-    fn sessions_are_bounded() {
+    fn number_of_sessions_is_bounded() {
         let (logins, now) = (Logins::default(), Instant::now());
         let first = logins.begin(token(0), now).unwrap();
         for n in 0..MAX_SESSIONS {

@@ -1,12 +1,13 @@
-//! The coordinator for browsers and for programs without gRPC: the calls of its services as JSON, a stream of
-//! what changes, results, and the pages that show all this.
+//! The coordinator for browsers and for programs without gRPC: calls as JSON, streams of changes, results,
+//! and pages.
 //!
-//! A call is `POST /sightline.v1.Jobs/List` with the request as JSON, by the mapping of the Protocol Buffers,
-//! as the Connect protocol has it. The same rules hold as for gRPC: beyond this machine the address needs
-//! encryption or `--allow-plaintext`, and where callers need tokens a call needs its scope. The pages show
-//! the jobs of all users, so they need `admin`. Pages of other sites can neither call (`application/json`
-//! makes a browser ask first, and nothing here says yes) nor reach a loopback address under a name of their
-//! own.
+//! A call is `POST /sightline.v1.Jobs/List` with the request as JSON, by the JSON mapping of Protocol Buffers
+//! and the Connect protocol. The rules of gRPC hold, too: beyond this machine the address needs encryption or
+//! `--allow-plaintext`, and if callers need tokens, a call needs its scope. The pages show the jobs of all
+//! users, so they need `admin`.
+//!
+//! Pages of other sites cannot call: `application/json` makes a browser ask for permission first, and the
+//! coordinator never grants it. Nor can such a page reach a loopback address under the host name of its site.
 
 mod calls;
 mod live;
@@ -33,21 +34,21 @@ use self::logins::Logins;
 use self::site::{Site, failure};
 use self::snapshot::Snapshots;
 use super::answer_right;
+use super::authorize::permitted;
 use super::connections::{Listener, Peer, Protocol, ServeError};
 use super::farm::FarmService;
-use super::guard::permitted;
 use super::jobs::JobsService;
 use super::metered::{MAX_MESSAGE, MESSAGE_TIME, bounded, needed_by_json};
 use super::results::ResultsService;
 use super::silence::until_deadline;
 use super::tls::Tls;
 use crate::access::Caller;
-use crate::state::Coordinator;
+use crate::coordinator::Coordinator;
 
-/// Serves pages and JSON until this is dropped.
+/// Serves pages and JSON until the future is dropped.
 ///
 /// # Errors
-/// [`ServeError::Broken`] when the listener has no address.
+/// [`ServeError::Broken`] if the system does not report the address of the listener.
 pub async fn serve_http(
     coordinator: Arc<Coordinator>,
     listener: Listener,
@@ -61,7 +62,7 @@ pub async fn serve_http(
         jobs: JobsService(Arc::clone(&coordinator)),
         farm: FarmService(Arc::clone(&coordinator)),
         results: ResultsService(Arc::clone(&coordinator)),
-        snapshots: Snapshots::of(&coordinator),
+        snapshots: Snapshots::start(&coordinator),
         coordinator,
         is_local,
         is_encrypted,
@@ -72,7 +73,7 @@ pub async fn serve_http(
         .route("/", get(pages::dashboard))
         .route(
             "/login",
-            // The one path that reads a body of a caller who is not known yet.
+            // Only this path reads a body of an unknown caller.
             get(login::page)
                 .post(login::login)
                 .layer(DefaultBodyLimit::max(login::MAX_FORM)),
@@ -86,7 +87,7 @@ pub async fn serve_http(
         .route("/{service}/{method}", post(calls::call))
         .fallback(|| async {
             failure(&Status::not_found(
-                "there is no such page; / is the dashboard",
+                "the page does not exist; the dashboard is at /",
             ))
         })
         .layer(DefaultBodyLimit::max(MAX_MESSAGE as usize))
@@ -95,11 +96,11 @@ pub async fn serve_http(
     Ok(listener.serve(tls, Protocol::Http1, routes).await)
 }
 
-/// Refuses requests that pages of other sites can make a browser send, those of callers who may not, and
-/// those that are too many.
+/// Rejects requests that pages of other sites can trigger, requests of unauthorized callers, and requests
+/// above the rate limits.
 async fn guard(site: State<Arc<Site>>, request: Request, next: Next) -> Response {
     let mut answer = guarded(site, request, next).await;
-    // Browsers must not guess another type from the bytes.
+    // Browsers must not guess another content type from the bytes.
     answer.headers_mut().insert(
         header::X_CONTENT_TYPE_OPTIONS,
         HeaderValue::from_static("nosniff"),
@@ -117,7 +118,7 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
         // A caller without a session must not use up the calls of users.
         return next.run(request).await;
     }
-    if let Some(access) = site.coordinator.access.get() {
+    if let Some(access) = site.coordinator.users.access.get() {
         match login::admitted(&site, access, request.headers(), path) {
             Ok(caller) => drop(request.extensions_mut().insert(caller)),
             Err(status) if path == "/" && status.code() == Code::Unauthenticated => {
@@ -131,7 +132,7 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
             if let Some(peer) = request.extensions().get::<Peer>() {
                 peer.admitted(false);
             }
-            // The file of a scene goes to the disk, whatever its length.
+            // A scene file goes to the disk, so its length does not count as memory.
             let announced = request.headers().get(header::CONTENT_LENGTH);
             let announced: Option<u64> =
                 announced.and_then(|length| length.to_str().ok()?.parse().ok());
@@ -141,12 +142,12 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
                 Some(announced) => needed_by_json(announced),
                 None => {
                     return failure(&Status::invalid_argument(
-                        "the length of the request is not known; send it with a content-length",
+                        "the length of the request is missing; send the header content-length",
                     ));
                 }
             };
             let user = bounded(request.extensions().get::<Caller>()).to_owned();
-            match site.coordinator.intake.room(&user, bytes).await {
+            match site.coordinator.users.intake.room(&user, bytes).await {
                 Ok(room) => {
                     if bytes > 0 {
                         request = request.map(|body| until_deadline(body, MESSAGE_TIME));
@@ -154,7 +155,7 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
                     answer_right::until_end(next.run(request).await, (permit, room))
                 }
                 Err(_) => failure(&Status::unavailable(
-                    "the coordinator is stopping; try again when it is back",
+                    "the coordinator is stopping; try again after its restart",
                 )),
             }
         }
@@ -162,7 +163,7 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
     }
 }
 
-/// Why a request is refused, by its headers.
+/// Returns the reason to reject a request by its headers, or `None`.
 fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
     let text = |name| {
         headers
@@ -171,16 +172,18 @@ fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
             .unwrap_or_default()
     };
     let host = text(header::HOST);
-    // An encrypted page is under a name of its certificate, and whoever calls needs a token besides.
+    // An encrypted page has a name of the certificate, and callers need a token in addition.
     let is_known = site.is_encrypted
         && site
             .coordinator
+            .users
             .access
             .get()
             .is_some_and(|access| access.has_tokens());
     if !is_known && !is_own(host, site.is_local) {
         return Some(Status::permission_denied(
-            "ask for an address, for localhost, or for the machine's name without a domain",
+            "the host of the request is not allowed; use an IP address, localhost, or the name of the \
+             machine without a domain",
         ));
     }
     let origin = text(header::ORIGIN);
@@ -188,11 +191,13 @@ fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
         && origin
             .split_once("://")
             .is_none_or(|(_, from)| from != host);
-    is_foreign.then(|| Status::permission_denied("pages of other sites may not call here"))
+    is_foreign.then(|| Status::permission_denied("requests from pages of other sites are rejected"))
 }
 
-/// Whether a `Host` can be this machine's. A page of another site reaches it under a name of that site, which
-/// has a dot; addresses, `localhost` and names without a domain are not given to anybody else.
+/// Returns true if a `Host` header can name this machine.
+///
+/// A page of another site reaches this machine under a name of that site, which has a dot. Other sites cannot
+/// own addresses, `localhost`, or names without a domain.
 fn is_own(host: &str, is_local: bool) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
@@ -213,7 +218,7 @@ mod tests {
     use super::is_own;
 
     #[test]
-    fn names_of_other_sites_are_not_ours() {
+    fn hosts_of_other_sites_are_rejected() {
         for own in [
             "127.0.0.1:7601",
             "localhost:7601",

@@ -1,4 +1,4 @@
-//! The pages: the dashboard, a result in the viewer, and results to download.
+//! The pages: the dashboard, a result in the viewer, and downloads of results.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use serde::Deserialize;
 use sightline_pvs::Pvs;
 use sightline_records::JobPhase;
 use sightline_records::ids::JobId;
-use sightline_view::{Ask, View, dashboard as dashboard_page, page};
+use sightline_view::{View, ViewRequest, dashboard as dashboard_page, page};
 use tonic::Status;
 
 use super::super::blocking::{blocking, in_turn};
@@ -22,35 +22,39 @@ use super::super::jobs::{begin_file, file_name, so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
 use crate::access::Caller;
+use crate::coordinator::Coordinator;
 use crate::results::partial;
 use crate::results::queries;
-use crate::state::Coordinator;
 use crate::uploads::spool::Spool;
 
-/// The random word that allows a page's own style and program.
+/// The random word that permits a page's own style and script.
 #[derive(Clone, Debug)]
 pub(super) struct Nonce(String);
 
 impl Nonce {
-    /// Draws a word.
+    /// Draws a random word.
     ///
     /// # Errors
-    /// INTERNAL when the system has no random numbers.
+    /// INTERNAL if the system has no random numbers.
     pub(super) fn random() -> Result<Self, Status> {
         let mut random = [0; 16];
-        let failed = |e| Status::internal(format!("no page without random numbers: {e}"));
+        let failed = |e| {
+            Status::internal(format!(
+                "the page cannot be created without random numbers: {e}"
+            ))
+        };
         getrandom::fill(&mut random).map_err(failed)?;
         Ok(Self(STANDARD.encode(random)))
     }
 
-    /// Returns the attribute of the page's style and program, with a space before it.
+    /// Returns the attribute for the page's style and script, with a leading space.
     pub(super) fn attribute(&self) -> String {
         format!(" nonce=\"{}\"", self.0)
     }
 }
 
-/// Returns a page as an answer. It runs no program and no style but those with the nonce, and loads nothing
-/// from elsewhere.
+/// Returns a page as an answer. The content policy permits only styles and scripts with the nonce, and no
+/// content from elsewhere.
 pub(super) fn html(Nonce(nonce): &Nonce, text: String) -> Response {
     let policy = format!(
         "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; \
@@ -64,10 +68,11 @@ pub(super) fn html(Nonce(nonce): &Nonce, text: String) -> Response {
     (headers, text).into_response()
 }
 
-/// Returns the dashboard. Where callers need tokens it has a button that ends the session.
+/// Returns the dashboard. If callers need tokens, it has a button that ends the session.
 pub(super) async fn dashboard(State(site): State<Arc<Site>>) -> Response {
     let has_sessions = site
         .coordinator
+        .users
         .access
         .get()
         .is_some_and(|access| access.has_tokens());
@@ -76,7 +81,8 @@ pub(super) async fn dashboard(State(site): State<Arc<Site>>) -> Response {
     made.unwrap_or_else(|status| failure(&status))
 }
 
-/// A result of a job, or what there is of it, as a file: `7.pvs` is that of job 7.
+/// Returns the result of a job as a file, or the partial result of an open job. The file `7.pvs` is the
+/// result of job 7.
 pub(super) async fn result(
     State(site): State<Arc<Site>>,
     Path(file): Path<String>,
@@ -86,7 +92,9 @@ pub(super) async fn result(
         .strip_suffix(".pvs")
         .and_then(|number| number.parse().ok())
     else {
-        return failure(&Status::not_found("results are at /results/JOB.pvs"));
+        return failure(&Status::not_found(
+            "the path names no result; results are at /results/JOB.pvs",
+        ));
     };
     let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
     match so_far(&site.coordinator, caller.owner(), JobId(job)).await {
@@ -98,13 +106,13 @@ pub(super) async fn result(
     }
 }
 
-/// The name of a file that is sent.
+/// The name of an uploaded file.
 #[derive(Deserialize)]
 pub(super) struct Named {
     name: String,
 }
 
-/// Reads a scene from a file, which is the body of the request.
+/// Reads a scene from a file in the body of the request.
 pub(super) async fn put_scene(
     State(site): State<Arc<Site>>,
     Query(Named { name }): Query<Named>,
@@ -112,7 +120,7 @@ pub(super) async fn put_scene(
     headers: HeaderMap,
     body: Body,
 ) -> Response {
-    // A form of another site can send other types without asking.
+    // A form of another site can send other content types without the user's consent.
     if headers
         .get(header::CONTENT_TYPE)
         .is_none_or(|kind| kind != "application/octet-stream")
@@ -130,7 +138,7 @@ pub(super) async fn put_scene(
             .and_then(|value| value.to_str().ok()?.parse().ok());
         let length = length.ok_or_else(|| {
             Status::invalid_argument(
-                "the length of the file is not known; send it with a content-length",
+                "the length of the file is missing; send the header content-length",
             )
         })?;
         let spool = spooled(c, begin_file(c, &caller, length).await?, body).await?;
@@ -143,14 +151,16 @@ pub(super) async fn put_scene(
     }
 }
 
-/// Fills a spool with a body.
+/// Appends the parts of a body to a spool.
 async fn spooled(c: &Arc<Coordinator>, mut spool: Spool, body: Body) -> Result<Spool, Status> {
     let mut parts = body.into_data_stream();
     while let Some(part) = parts.next().await {
         let part = part.map_err(|e| Status::from_error(e.into()))?;
-        // The disk may block.
+        // Writing may block on the disk.
         spool = blocking(c, move |c| {
-            spool.append(c, &part).map_err(|e| status::of_spool(&e))?;
+            spool
+                .append(&*c.blobs, &part)
+                .map_err(|e| status::of_spool(&e))?;
             Ok(spool)
         })
         .await?;
@@ -159,7 +169,7 @@ async fn spooled(c: &Arc<Coordinator>, mut spool: Spool, body: Body) -> Result<S
     Ok(spool)
 }
 
-/// A result of a job, or what there is of it, in the viewer.
+/// Returns a page with the result of a job, or the partial result of an open job, in the viewer.
 pub(super) async fn view(
     State(site): State<Arc<Site>>,
     Path(job): Path<u64>,
@@ -175,11 +185,11 @@ pub(super) async fn view(
     let made = move |c: &Arc<Coordinator>, is_gone: &(dyn Fn() -> bool + Sync)| {
         page_of(c, JobId(job), attribute, is_gone)
     };
-    match in_turn(c, &c.questions, caller.owner(), made).await {
+    match in_turn(c, &c.results.questions, caller.owner(), made).await {
         Ok(text) => html(&nonce, text),
         Err(s) => {
             let mut answer = failure(&s);
-            // People read this in a window of their own.
+            // A browser shows this text in its own window.
             let text = HeaderValue::from_static("text/plain; charset=utf-8");
             answer.headers_mut().insert(header::CONTENT_TYPE, text);
             *answer.body_mut() = Body::from(s.message().to_owned());
@@ -195,11 +205,12 @@ fn page_of(
     is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
-    let (record, scene) = queries::scene(c, id).map_err(|e| status::of_ask(&e))?;
+    let (record, scene) =
+        queries::scene(&c.records, &*c.blobs, id).map_err(|e| status::of_ask(&e))?;
     queries::has_sets(&record).map_err(|e| status::of_ask(&e))?;
     let bytes = partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))?;
     let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
-    let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;
+    let mut view = View::new(&pvs, Some(&scene)).map_err(|e| broken(&e))?;
     view.nonce = nonce;
     view.title = format!("job {id}: {}", record.name);
     let is_over = record.state.phase().ended();
@@ -208,7 +219,7 @@ fn page_of(
         false => format!("job {id} so far: cells that are not done show everything, as undecided"),
     };
     if record.state.phase() == JobPhase::Done {
-        view.ask = Ask::about(&scene, "/sightline.v1.Results/Why", Some(id.0));
+        view.ask = ViewRequest::about(&scene, "/sightline.v1.Results/Why", Some(id.0));
     }
     page(&view).map_err(|e| broken(&e))
 }

@@ -1,4 +1,4 @@
-//! What the routes share, and how answers are made.
+//! The state that the HTTP routes share, and helpers for answers.
 
 use std::sync::Arc;
 
@@ -11,18 +11,18 @@ use super::super::jobs::JobsService;
 use super::super::results::ResultsService;
 use super::logins::Logins;
 use super::snapshot::Snapshots;
-use crate::state::Coordinator;
+use crate::coordinator::Coordinator;
 
-/// What the routes share.
+/// The state that the HTTP routes share.
 pub(super) struct Site {
     pub(super) coordinator: Arc<Coordinator>,
     pub(super) jobs: JobsService,
     pub(super) farm: FarmService,
     pub(super) results: ResultsService,
     pub(super) snapshots: Arc<Snapshots>,
-    /// Whether only this machine can reach the address.
+    /// True if only this machine can reach the address.
     pub(super) is_local: bool,
-    /// Whether connections are encrypted.
+    /// True if connections are encrypted.
     pub(super) is_encrypted: bool,
     /// The port of the address.
     pub(super) port: u16,
@@ -30,7 +30,7 @@ pub(super) struct Site {
     pub(super) logins: Logins,
 }
 
-/// Whether a request says that it is JSON.
+/// Returns true if the request's content type is JSON.
 pub(super) fn is_json(headers: &HeaderMap) -> bool {
     let kind = headers
         .get(header::CONTENT_TYPE)
@@ -41,7 +41,7 @@ pub(super) fn is_json(headers: &HeaderMap) -> bool {
         .is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
 }
 
-/// JSON as an answer.
+/// Returns an answer with a JSON body.
 pub(super) fn json(text: String) -> Response {
     let headers = [
         (header::CONTENT_TYPE, "application/json"),
@@ -50,7 +50,7 @@ pub(super) fn json(text: String) -> Response {
     (headers, text).into_response()
 }
 
-/// A status as an answer, with the codes of the Connect protocol.
+/// Converts a status into an answer, with the codes of the Connect protocol.
 pub(super) fn failure(status: &Status) -> Response {
     let (code, name) = match status.code() {
         Code::InvalidArgument => (StatusCode::BAD_REQUEST, "invalid_argument"),

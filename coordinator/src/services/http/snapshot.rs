@@ -1,5 +1,6 @@
-//! The list of jobs and the list of workers as all watchers see them: made once, at most once a second, and
-//! only while somebody watches and something has changed.
+//! Snapshots of the lists of jobs and workers, shared by all watchers.
+//!
+//! A snapshot is created at most once per second, and only while a client watches and something has changed.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,15 +12,15 @@ use tokio::sync::watch;
 
 use super::super::blocking::blocking;
 use super::super::{status, wire};
+use crate::coordinator::Coordinator;
 use crate::jobs::control;
-use crate::state::Coordinator;
 
-/// Shortest time between two states of the list of jobs, and of the workers.
+/// Minimum time between two snapshots of the list of jobs, and of the list of workers.
 const EVERY: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(2)];
-/// Jobs that are listed: the newest.
+/// Maximum number of listed jobs, which are the newest jobs.
 const MOST_JOBS: usize = 200;
 
-/// The jobs at one moment, as JSON: all of them, and those that changed since the moment before.
+/// A snapshot of the jobs as JSON: all of them, and the changes since the previous snapshot.
 #[derive(Clone, Debug, Default)]
 pub(super) struct JobsSnapshot {
     pub(super) number: u64,
@@ -27,15 +28,15 @@ pub(super) struct JobsSnapshot {
     pub(super) change: Arc<str>,
 }
 
-/// The states that watchers are told of.
+/// The snapshots that watchers receive.
 pub(super) struct Snapshots {
     pub(super) jobs: watch::Sender<JobsSnapshot>,
     pub(super) workers: watch::Sender<Arc<str>>,
 }
 
 impl Snapshots {
-    /// Begins to make them.
-    pub(super) fn of(c: &Arc<Coordinator>) -> Arc<Self> {
+    /// Creates the snapshots, and starts the tasks that renew them.
+    pub(super) fn start(c: &Arc<Coordinator>) -> Arc<Self> {
         let this = Self {
             jobs: watch::Sender::new(JobsSnapshot::default()),
             workers: watch::Sender::new("".into()),
@@ -47,14 +48,14 @@ impl Snapshots {
     }
 }
 
-/// The jobs of a list, each as JSON.
+/// The jobs of a list, each as JSON, by number.
 type Listed = BTreeMap<u64, Arc<str>>;
 
-/// Jobs that have ended: when, and as JSON. They change only when they are tried again.
+/// Ended jobs, each with its end time in milliseconds since 1970 and as JSON. They change only after a retry.
 type Ended = BTreeMap<u64, (Option<u64>, Arc<str>)>;
 
 async fn keep_jobs(c: Arc<Coordinator>, this: Arc<Snapshots>) {
-    let mut changes = c.watched().any();
+    let mut changes = c.dispatcher.watch_all();
     let (mut before, mut ended) = (Listed::new(), Ended::new());
     loop {
         watched(&this.jobs).await;
@@ -80,7 +81,7 @@ async fn keep_jobs(c: Arc<Coordinator>, this: Arc<Snapshots>) {
                 });
             }
             Err(s) => tracing::warn!(
-                "the dashboard's list of jobs cannot be made: {}",
+                "the job list of the dashboard cannot be created: {}",
                 s.message()
             ),
         }
@@ -94,10 +95,10 @@ async fn keep_jobs(c: Arc<Coordinator>, this: Arc<Snapshots>) {
 async fn keep_workers(c: Arc<Coordinator>, this: Arc<Snapshots>) {
     loop {
         watched(&this.workers).await;
-        let now = c.now_plain();
-        let roster = c.lock().scheduler.roster(now);
+        let now = c.scheduler_now();
+        let roster = c.dispatcher.read(|scheduler| scheduler.roster(now));
         let workers = roster.into_iter().map(wire::member).collect();
-        // The page shows the trouble of those that are connected.
+        // The page shows the faults of connected workers.
         let answer = v1::ListWorkersResponse {
             workers,
             now_ms: now.unix_ms,
@@ -110,16 +111,16 @@ async fn keep_workers(c: Arc<Coordinator>, this: Arc<Snapshots>) {
     }
 }
 
-/// Waits until somebody watches.
+/// Waits until a client watches.
 async fn watched<T>(sender: &watch::Sender<T>) {
     while sender.receiver_count() == 0 {
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 }
 
-/// The newest jobs; whether there are older ones; and those that have ended.
+/// Returns the newest jobs, true if older jobs exist, and the ended jobs.
 fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), tonic::Status> {
-    let newest = c.store.jobs_before(JobId(u64::MAX), MOST_JOBS);
+    let newest = c.records.jobs_before(JobId(u64::MAX), MOST_JOBS);
     let (records, older) = newest.map_err(|e| status::of_store(&e))?;
     let (mut jobs, mut ended) = (Listed::new(), Ended::new());
     for record in records {
@@ -129,10 +130,10 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
             Some((_, text)) => text,
             None => match control::summary(c, record.id) {
                 Ok(summary) => {
-                    // The scheduler may not have heard of the end yet.
+                    // The scheduler may not have received the end of the job yet.
                     is_over = summary.ended();
                     end = summary.record.finished_at_ms;
-                    // The clock would make every job new.
+                    // With the clock and the number of workers, the text of every job would change.
                     let job = v1::Job {
                         spec: None,
                         now_ms: 0,
@@ -143,7 +144,7 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
                         .map_err(|e| status::internal(&e.to_string()))?
                         .into()
                 }
-                // It was deleted in between.
+                // Another call deleted the job in between.
                 Err(sightline_store::StoreError::UnknownJob { .. }) => continue,
                 Err(e) => return Err(status::of_store(&e)),
             },
@@ -156,7 +157,7 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
     Ok((jobs, older, ended))
 }
 
-/// The jobs that are not listed any more.
+/// Returns the jobs that are no longer listed.
 fn gone(before: &Listed, now: &Listed) -> Vec<u64> {
     before
         .keys()
@@ -165,9 +166,12 @@ fn gone(before: &Listed, now: &Listed) -> Vec<u64> {
         .collect()
 }
 
-/// What a watcher is sent.
+/// Formats the event that watchers receive.
 fn event(c: &Coordinator, whole: bool, older: bool, jobs: &[&str], gone: &[u64]) -> String {
-    let (now, workers) = (c.now().unix_ms, c.lock().scheduler.workers());
+    let (now, workers) = (
+        c.now().unix_ms,
+        c.dispatcher.read(|scheduler| scheduler.workers()),
+    );
     format!(
         r#"{{"whole":{whole},"older":{older},"now":{now},"workers":{workers},"gone":{gone:?},"jobs":[{}]}}"#,
         jobs.join(",")

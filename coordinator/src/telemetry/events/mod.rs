@@ -1,8 +1,8 @@
-//! What happened: events of jobs, tiles and workers with their times, for people.
+//! The event log: events of jobs, tiles and workers with their times, for users.
 //!
-//! The last events are in memory (`recent.rs`). All are appended to a file, of which the last one or two
-//! pieces are kept, so that events outlive a restart. No state is derived from them: a crash may lose those
-//! of the last moment, and a full disk those since.
+//! The last events are in memory (`recent.rs`). All events are appended to a file whose last one or two
+//! pieces are kept, so that events survive a restart. No state is derived from them: a crash may lose the
+//! events of the last moment, and a full disk all events from then on.
 
 mod recent;
 
@@ -17,19 +17,19 @@ use tokio::sync::watch;
 
 use self::recent::Recent;
 
-/// Bytes of a text; longer ones are cut. Workers send reasons of any length.
+/// Maximum length of a text, in bytes. Longer texts are cut, because workers send reasons of any length.
 const MOST_TEXT: usize = 500;
-/// Length at which a piece of the file ends.
+/// The length at which a piece of the file ends, in bytes.
 const PIECE_BYTES: u64 = 16 << 20;
-/// Most bytes that wait to be written; further events are in memory alone.
+/// Maximum number of bytes that wait to be written. Further events are only in memory.
 const MOST_UNWRITTEN: usize = 4 << 20;
-/// The piece that grows, and the one before.
+/// The names of the growing piece and of the previous piece.
 const PIECES: [&str; 2] = ["events.jsonl", "events.1.jsonl"];
 
 /// The kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Kind {
+pub(crate) enum EventKind {
     Submitted,
     Job,
     Leased,
@@ -44,8 +44,8 @@ pub(crate) enum Kind {
     Check,
 }
 
-impl Kind {
-    /// All of them, in their order.
+impl EventKind {
+    /// All kinds of events, in their order.
     const ALL: [Self; 12] = [
         Self::Submitted,
         Self::Job,
@@ -62,23 +62,23 @@ impl Kind {
     ];
 }
 
-/// Something that happened.
+/// An event without a number and a time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct LogEvent {
-    pub(crate) kind: Kind,
+    pub(crate) kind: EventKind,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) job: Option<JobId>,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) tile: Option<TileIndex>,
-    /// The worker's name, if one is concerned.
+    /// The name of the worker, or an empty string.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub(crate) worker: String,
     pub(crate) text: String,
 }
 
 impl LogEvent {
-    /// An event of no job.
-    pub(crate) fn of(kind: Kind, text: impl Into<String>) -> Self {
+    /// Creates an event without a job.
+    pub(crate) fn new(kind: EventKind, text: impl Into<String>) -> Self {
         Self {
             kind,
             job: None,
@@ -88,23 +88,23 @@ impl LogEvent {
         }
     }
 
-    /// An event of a job.
-    pub(crate) fn of_job(kind: Kind, job: JobId, text: impl Into<String>) -> Self {
+    /// Creates an event of a job.
+    pub(crate) fn of_job(kind: EventKind, job: JobId, text: impl Into<String>) -> Self {
         Self {
             job: Some(job),
-            ..Self::of(kind, text)
+            ..Self::new(kind, text)
         }
     }
 
-    /// An event of a leased tile.
-    pub(crate) fn of_lease(kind: Kind, lease: &Lease, text: impl Into<String>) -> Self {
+    /// Creates an event of a leased tile.
+    pub(crate) fn of_lease(kind: EventKind, lease: &Lease, text: impl Into<String>) -> Self {
         Self {
             tile: Some(lease.tile),
             ..Self::of_job(kind, lease.job, text)
         }
     }
 
-    /// The event as one about a worker.
+    /// Returns the event with the name of a worker.
     pub(crate) fn on(self, worker: impl Into<String>) -> Self {
         Self {
             worker: worker.into(),
@@ -117,34 +117,34 @@ impl LogEvent {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Entry {
     pub(crate) number: u64,
-    /// Milliseconds since 1970.
+    /// The time in milliseconds since 1970.
     pub(crate) at_ms: u64,
     #[serde(flatten)]
     pub(crate) what: LogEvent,
 }
 
-/// What is in memory.
+/// The events in memory.
 #[derive(Default)]
-struct Kept {
+struct EventMemory {
     recent: Recent,
-    /// Lines for the file.
+    /// The lines that are not yet written to the file.
     unwritten: Vec<u8>,
 }
 
-/// All events.
+/// The event log.
 pub(crate) struct EventLog {
-    kept: Mutex<Kept>,
-    /// The number of the last event.
+    kept: Mutex<EventMemory>,
+    /// The number of the last event, for followers.
     grown: watch::Sender<u64>,
-    /// The directory of the file; `None` to write none.
+    /// The directory of the log file. `None`: events are stored only in memory.
     directory: Option<PathBuf>,
-    /// The piece that grows, once it is open.
+    /// The growing piece of the file, once it is open.
     piece: Mutex<Option<File>>,
 }
 
 impl EventLog {
-    /// Events in memory alone.
-    pub(crate) fn nowhere() -> Self {
+    /// Creates an event log without a file.
+    pub(crate) fn in_memory() -> Self {
         Self {
             kept: Mutex::default(),
             grown: watch::Sender::new(0),
@@ -153,10 +153,10 @@ impl EventLog {
         }
     }
 
-    /// The events of a directory, which is created with the first event. What cannot be read is left out, and
-    /// the log says so.
-    pub(crate) fn of(directory: PathBuf) -> Self {
-        let mut kept = Kept::default();
+    /// Opens the event log in a directory, which is created with the first event. Lines that cannot be read
+    /// are skipped and logged.
+    pub(crate) fn open(directory: PathBuf) -> Self {
+        let mut kept = EventMemory::default();
         for piece in PIECES.iter().rev() {
             read(&directory.join(piece), &mut kept);
         }
@@ -169,7 +169,7 @@ impl EventLog {
         }
     }
 
-    /// Notes an event. Does not block on the disk.
+    /// Records an event, without blocking on the disk.
     pub(crate) fn record(&self, at_ms: u64, mut what: LogEvent) {
         cut(&mut what.text);
         let mut kept = self.kept();
@@ -179,7 +179,7 @@ impl EventLog {
             what,
         };
         if self.directory.is_some() && kept.unwritten.len() < MOST_UNWRITTEN {
-            // Texts and numbers can always be written as JSON.
+            // Texts and numbers can always be encoded as JSON.
             if let Ok(line) = serde_json::to_string(&entry) {
                 kept.unwritten.extend(line.as_bytes());
                 kept.unwritten.push(b'\n');
@@ -189,28 +189,28 @@ impl EventLog {
         self.grown.send_replace(entry.number);
     }
 
-    /// At most `most` events with greater numbers than `after`, ascending, of one job or of all; and the
-    /// number up to which was looked.
+    /// Returns at most `most` events with higher numbers than `after`, ascending, of one job or of all jobs.
+    /// The second value is the last inspected number.
     pub(crate) fn after(&self, job: Option<JobId>, after: u64, most: usize) -> (Vec<Entry>, u64) {
         self.kept().recent.after(job, after, most)
     }
 
-    /// The number after which a job has its last `most` events.
+    /// Returns the number after which a job has its last `most` events.
     pub(crate) fn before_last(&self, job: JobId, most: usize) -> u64 {
         self.kept().recent.before_last(job, most)
     }
 
-    /// The number of the last event, from now on.
+    /// Subscribes to the number of the last event.
     pub(crate) fn grown(&self) -> watch::Receiver<u64> {
         self.grown.subscribe()
     }
 
-    /// Whether there is something to write.
+    /// Returns true if events wait to be written.
     pub(crate) fn has_unwritten(&self) -> bool {
         !self.kept().unwritten.is_empty()
     }
 
-    /// Appends to the file what is not in it yet.
+    /// Appends the unwritten events to the file.
     pub(crate) fn write(&self) {
         let Some(directory) = &self.directory else {
             return;
@@ -226,13 +226,13 @@ impl EventLog {
         }
     }
 
-    fn kept(&self) -> MutexGuard<'_, Kept> {
-        // Each change is whole before anything can panic.
+    fn kept(&self) -> MutexGuard<'_, EventMemory> {
+        // A poisoned lock is safe to use: no step of a change can panic before the change is complete.
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Cuts a text that is too long.
+/// Cuts a text to the maximum length.
 fn cut(text: &mut String) {
     if text.len() > MOST_TEXT {
         let end = (0..=MOST_TEXT)
@@ -243,31 +243,31 @@ fn cut(text: &mut String) {
     }
 }
 
-/// Reads a piece of the file.
-fn read(path: &Path, kept: &mut Kept) {
+/// Reads the events of a piece of the file into memory.
+fn read(path: &Path, kept: &mut EventMemory) {
     let Ok(file) = File::open(path) else { return };
     let mut unread = 0;
-    // A piece that was damaged may be longer than one that was written.
+    // A damaged piece may be longer than a written one.
     let mut lines = BufReader::new(std::io::Read::take(file, 2 * PIECE_BYTES)).split(b'\n');
     while let Some(Ok(line)) = lines.next() {
         if line.is_empty() {
             continue;
         }
         match serde_json::from_slice::<Entry>(&line) {
-            // Where some were not written, those before them are forgotten.
+            // If events are missing in the file, `push` drops the events before the gap.
             Ok(entry) => kept.recent.push(&entry),
             Err(_) => unread += 1,
         }
     }
     if unread > 0 {
         tracing::warn!(
-            "{}: {unread} lines are no events and are left out",
+            "{}: {unread} lines are not events and are skipped",
             path.display()
         );
     }
 }
 
-/// Appends to the growing piece, and begins another one when it is long.
+/// Appends to the growing piece, and starts another piece if the length exceeds the limit.
 fn append(directory: &Path, piece: &mut Option<File>, bytes: &[u8]) -> std::io::Result<()> {
     let [growing, before] = PIECES.map(|name| directory.join(name));
     if piece.is_none() {
@@ -276,7 +276,7 @@ fn append(directory: &Path, piece: &mut Option<File>, bytes: &[u8]) -> std::io::
             .create(true)
             .append(true)
             .open(&growing)?;
-        // Ends a line that a crash left unfinished.
+        // The newline ends a line that a crash left unfinished.
         if file.metadata()?.len() > 0 {
             file.write_all(b"\n")?;
         }
@@ -296,14 +296,14 @@ mod tests {
     use super::*;
 
     fn event(n: u64) -> LogEvent {
-        LogEvent::of_job(Kind::Job, JobId(n % 3), format!("event {n}"))
+        LogEvent::of_job(EventKind::Job, JobId(n % 3), format!("event {n}"))
     }
 
     #[test]
-    fn events_outlive_a_restart_and_go_on() {
+    fn events_survive_restart_and_numbers_continue() {
         let directory = tempfile::tempdir().unwrap();
         for run in 0..3 {
-            let event_log = EventLog::of(directory.path().to_owned());
+            let event_log = EventLog::open(directory.path().to_owned());
             (0..10).for_each(|n| event_log.record(run * 100 + n, event(run * 10 + n)));
             event_log.write();
             let (all, last) = event_log.after(None, 0, usize::MAX);
@@ -318,19 +318,19 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_line_costs_itself_alone() {
+    fn torn_line_affects_only_itself() {
         let directory = tempfile::tempdir().unwrap();
-        let event_log = EventLog::of(directory.path().to_owned());
+        let event_log = EventLog::open(directory.path().to_owned());
         (0..4).for_each(|n| event_log.record(n, event(n)));
         event_log.write();
         let file = directory.path().join(PIECES[0]);
         let mut bytes = std::fs::read(&file).unwrap();
         bytes.truncate(bytes.len() - 9);
         std::fs::write(&file, &bytes).unwrap();
-        let again = EventLog::of(directory.path().to_owned());
+        let again = EventLog::open(directory.path().to_owned());
         again.record(9, event(9));
         again.write();
-        let third = EventLog::of(directory.path().to_owned());
+        let third = EventLog::open(directory.path().to_owned());
         let texts = |c: &EventLog| {
             c.after(None, 0, 99)
                 .0
@@ -342,8 +342,8 @@ mod tests {
     }
 
     #[test]
-    fn a_page_says_where_the_next_begins() {
-        let event_log = EventLog::nowhere();
+    fn page_returns_start_of_next_page() {
+        let event_log = EventLog::in_memory();
         (0..9).for_each(|n| event_log.record(n, event(n)));
         let (mut after, mut found) = (0, Vec::new());
         loop {
@@ -360,12 +360,12 @@ mod tests {
     }
 
     #[test]
-    fn memory_holds_the_last_events_and_the_file_two_pieces() {
+    fn memory_has_last_events_and_file_has_two_pieces() {
         let directory = tempfile::tempdir().unwrap();
-        let event_log = EventLog::of(directory.path().to_owned());
+        let event_log = EventLog::open(directory.path().to_owned());
         let text = "x".repeat(MOST_TEXT);
         for n in 0..40_000 {
-            event_log.record(n, LogEvent::of(Kind::Coordinator, text.clone()));
+            event_log.record(n, LogEvent::new(EventKind::Coordinator, text.clone()));
             if n % 1000 == 0 {
                 event_log.write();
             }
@@ -376,7 +376,7 @@ mod tests {
             .map(|e| e.unwrap().metadata().unwrap().len())
             .sum();
         assert!(bytes < 2 * PIECE_BYTES + (2 << 20), "{bytes}");
-        let again = EventLog::of(directory.path().to_owned());
+        let again = EventLog::open(directory.path().to_owned());
         assert_eq!(again.after(None, 0, usize::MAX).1, 40_000);
     }
 }

@@ -1,47 +1,49 @@
-//! The last events, in memory as bytes: a farm makes hundreds of them a second, and objects with texts of
-//! their own take several times as much.
+//! The last events in memory, encoded as bytes.
+//!
+//! A farm creates hundreds of events per second, and objects with separate texts need several times as much
+//! memory.
 
 use std::collections::VecDeque;
 
 use sightline_numbers::varint;
 use sightline_records::ids::{JobId, TileIndex};
 
-use super::{Entry, Kind, LogEvent};
+use super::{Entry, EventKind, LogEvent};
 
-/// Most bytes of the events that are kept. The block that grows may come on top.
+/// Maximum size of the stored events in bytes, without the growing block.
 const MOST_BYTES: usize = 8 << 20;
-/// Bytes at which a block ends. Blocks are forgotten as wholes.
+/// The size in bytes at which a block ends. Blocks are dropped as a whole.
 const BLOCK_BYTES: usize = 64 << 10;
-/// Bytes of a variable-length integer.
+/// Maximum length of a variable-length integer, in bytes.
 const LONGEST: u32 = 10;
 
-/// The last events: without gaps, ascending.
+/// The last events, ascending and without gaps.
 #[derive(Default)]
 pub(super) struct Recent {
     blocks: VecDeque<Block>,
-    /// Bytes of the blocks that do not grow any more.
+    /// The size of the complete blocks, in bytes.
     full: usize,
     last: u64,
 }
 
-/// Some consecutive events.
+/// A block of consecutive events.
 struct Block {
-    /// The number of the first one.
+    /// The number of the first event.
     first: u64,
-    /// The events. Each has its job first: most questions are about one job.
+    /// The encoded events. Each starts with its job, because most queries are about one job.
     bytes: Vec<u8>,
-    /// Where each begins.
+    /// The start of each event in `bytes`.
     starts: Vec<u32>,
 }
 
 impl Recent {
-    /// The number of the last event.
+    /// Returns the number of the last event.
     pub(super) fn last(&self) -> u64 {
         self.last
     }
 
-    /// Keeps an event, and forgets the oldest ones where there are too many. Where its number is not the
-    /// next one, all before it are forgotten.
+    /// Appends an event, and drops the oldest events above the maximum size. If the event's number is not the
+    /// next one, drops all previous events.
     pub(super) fn push(&mut self, entry: &Entry) {
         if entry.number != self.last + 1 {
             (self.blocks, self.full) = (VecDeque::new(), 0);
@@ -72,8 +74,8 @@ impl Recent {
         }
     }
 
-    /// At most `most` events with greater numbers than `after`, ascending, of one job or of all; and the
-    /// number up to which was looked.
+    /// Returns at most `most` events with higher numbers than `after`, ascending, of one job or of all jobs.
+    /// The second value is the last inspected number.
     pub(super) fn after(&self, job: Option<JobId>, after: u64, most: usize) -> (Vec<Entry>, u64) {
         let mut found = Vec::new();
         let begin = self
@@ -93,7 +95,7 @@ impl Recent {
         (found, self.last.max(after))
     }
 
-    /// The number after which a job has its last `most` events.
+    /// Returns the number after which a job has its last `most` events.
     pub(super) fn before_last(&self, job: JobId, most: usize) -> u64 {
         let numbers = self.blocks.iter().rev().flat_map(|block| {
             let of_job = (0..block.starts.len())
@@ -110,14 +112,14 @@ impl Block {
         self.bytes.len() + self.starts.len() * size_of::<u32>()
     }
 
-    /// The number behind the last one.
+    /// Returns the number after the last event of the block.
     fn end(&self) -> u64 {
         self.first + self.starts.len() as u64
     }
 
     fn push(&mut self, entry: &Entry) {
         let what = &entry.what;
-        // A block of few and long events ends before 4 GiB: texts and names are short.
+        // Even a block of few long events ends before 4 GiB, because texts and names are short.
         self.starts.push(self.bytes.len() as u32);
         let out = &mut self.bytes;
         option(out, what.job.map(|job| job.0));
@@ -146,7 +148,7 @@ impl Block {
         let from = &mut self.bytes(at)?;
         let job = read_option(from)?.map(JobId);
         let tile = read_option(from)?.map(|tile| TileIndex(tile as u32));
-        let kind = *Kind::ALL.get(usize::from(*from.split_off_first()?))?;
+        let kind = *EventKind::ALL.get(usize::from(*from.split_off_first()?))?;
         let at_ms = varint::read(from, LONGEST).ok()?;
         let length = varint::read(from, LONGEST).ok()?;
         let (worker, text) = from.split_at_checked(length as usize)?;
@@ -166,7 +168,7 @@ impl Block {
     }
 }
 
-/// Writes whether there is a number, and the number.
+/// Writes an optional number.
 fn option(out: &mut Vec<u8>, number: Option<u64>) {
     out.push(u8::from(number.is_some()));
     if let Some(number) = number {
@@ -174,7 +176,7 @@ fn option(out: &mut Vec<u8>, number: Option<u64>) {
     }
 }
 
-/// Reads what [`option`] has written; `None` when it is not that.
+/// Reads a number that [`option`] wrote. Returns `None` if the bytes are invalid.
 fn read_option(from: &mut &[u8]) -> Option<Option<u64>> {
     match from.split_off_first()? {
         0 => Some(None),
@@ -191,7 +193,7 @@ mod tests {
         let tile = number
             .is_multiple_of(3)
             .then_some(TileIndex(u32::MAX - number as u32));
-        let kind = Kind::ALL[number as usize % Kind::ALL.len()];
+        let kind = EventKind::ALL[number as usize % EventKind::ALL.len()];
         let worker = if number.is_multiple_of(2) {
             String::new()
         } else {
@@ -214,7 +216,7 @@ mod tests {
     #[test]
     fn kinds_are_found_by_their_number() {
         assert!(
-            Kind::ALL
+            EventKind::ALL
                 .iter()
                 .enumerate()
                 .all(|(at, kind)| *kind as usize == at)
@@ -222,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn events_come_back_as_they_were_from_every_number_on() {
+    fn events_are_returned_unchanged_from_every_number() {
         let mut recent = Recent::default();
         let all: Vec<Entry> = (1..=20_000).map(entry).collect();
         all.iter().for_each(|entry| recent.push(entry));
@@ -254,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_of_many_events_are_forgotten() {
+    fn oldest_events_are_dropped() {
         let mut recent = Recent::default();
         for number in 1..=500_000 {
             recent.push(&entry(number));
@@ -279,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn events_behind_a_gap_are_the_only_ones() {
+    fn events_before_gap_are_dropped() {
         let mut recent = Recent::default();
         [1, 2, 5, 6]
             .map(entry)

@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-/// Free space for this process on the disk of a path.
+/// Returns the free space on the disk of a path for this process, in bytes.
 pub(crate) fn free_bytes(path: &Path) -> Option<u64> {
     let stat = rustix::fs::statvfs(path).ok()?;
     Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
-/// Bytes of a file, or of all files below a directory. Files that go meanwhile are not counted.
+/// Returns the size of a file, or of all files below a directory, in bytes. Files that disappear in the
+/// meantime do not count.
 pub(super) fn bytes_below(path: &Path) -> u64 {
     let Ok(meta) = std::fs::symlink_metadata(path) else {
         return 0;

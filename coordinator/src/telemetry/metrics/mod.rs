@@ -1,11 +1,11 @@
-//! What the coordinator counts, for Prometheus. `docs/operations.md` has the table of the names, and a test
-//! compares the two.
+//! The metrics of the coordinator, for Prometheus. `docs/operations.md` lists the names, and a test compares
+//! the list.
 //!
-//! Counters and histograms are changed where something happens. Gauges are read from the scheduler and the
-//! disk when somebody asks (`now.rs`). Nothing here has an influence on what the coordinator does.
+//! Events update counters and histograms. Gauges are read from the scheduler and the disk at each request
+//! (`gauges.rs`). Metrics do not affect the behaviour of the coordinator.
 
 mod disk;
-mod now;
+mod gauges;
 #[cfg(test)]
 mod tests;
 
@@ -21,8 +21,8 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 pub(crate) use self::disk::free_bytes;
-pub(crate) use self::now::FarmReadings;
-use self::now::Gauges;
+pub(crate) use self::gauges::FarmReadings;
+use self::gauges::Gauges;
 
 /// Labels with their values.
 type Labels<const N: usize> = [(&'static str, String); N];
@@ -31,8 +31,9 @@ type Counters = Family<Labels<1>, Counter>;
 /// Histograms by one label.
 type Histograms = Family<Labels<1>, Histogram, fn() -> Histogram>;
 
-/// Upper ends of the classes of times, in seconds: of requests and of the disk, and of tiles.
+/// Upper bounds of the histogram buckets for requests, phases and disk writes, in seconds.
 const SHORT: [f64; 10] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 60.0];
+/// Upper bounds of the histogram buckets for tiles, in seconds.
 const LONG: [f64; 10] = [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3600.0];
 
 fn short() -> Histogram {
@@ -43,7 +44,7 @@ fn long() -> Histogram {
     Histogram::new(LONG)
 }
 
-/// All that is counted.
+/// All metrics of a coordinator.
 pub(crate) struct Metrics {
     registry: Mutex<Registry>,
     gauges: Gauges,
@@ -69,36 +70,40 @@ pub(crate) struct Metrics {
     fallbacks: Counters,
 }
 
-/// How a look into a cache ended.
+/// The outcome of a cache request.
 #[derive(Clone, Copy)]
-pub(crate) enum Cache {
+pub(crate) enum CacheOutcome {
     Hit,
     Miss,
 }
 
-/// Registers whether this coordinator leads.
+/// Registers the gauge that states if this coordinator leads.
 fn lead(registry: &mut Registry, is: i64) {
     let leader: Gauge = Gauge::default();
     leader.set(is);
     registry.register(
         "leader",
-        "1 if this coordinator grants tiles, 0 if it stands by",
+        "1 if this coordinator leads, 0 if it is a standby",
         leader,
     );
 }
 
-/// The metrics of a coordinator that stands by.
-pub(crate) fn standing_by() -> Result<String, std::fmt::Error> {
+/// Returns the metrics of a standby.
+pub(crate) fn standby_metrics() -> Result<String, std::fmt::Error> {
     let mut registry = Registry::with_prefix("sightline");
     registry.register(
         "build",
-        "The program",
+        "The version of the program",
         Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]),
     );
     lead(&mut registry, 0);
     let ready: Gauge = Gauge::default();
     ready.set(1);
-    registry.register("ready", "1 if /readyz says so", ready);
+    registry.register(
+        "ready",
+        "1 if /readyz reports that the process is ready",
+        ready,
+    );
     let mut text = String::new();
     encode(&mut text, &registry)?;
     Ok(text)
@@ -108,7 +113,7 @@ impl Default for Metrics {
     fn default() -> Self {
         let mut registry = Registry::with_prefix("sightline");
         let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
-        registry.register("build", "The program", build);
+        registry.register("build", "The version of the program", build);
         lead(&mut registry, 1);
         let this = Self {
             gauges: Gauges::register(&mut registry),
@@ -144,19 +149,19 @@ impl Default for Metrics {
         );
         r.register(
             "samples",
-            "Lines and cubes of committed tiles",
+            "Samples (sight lines or cubes) of committed tiles",
             this.samples.clone(),
         );
         r.register(
             "jobs_ended",
-            "Jobs that have ended, by how",
+            "Ended jobs, by their final state",
             this.jobs_ended.clone(),
         );
         let help = "Bytes of the bodies of gRPC calls";
         r.register_with_unit("transferred", help, Unit::Bytes, this.transferred.clone());
         r.register(
             "cache_requests",
-            "Looks into what is kept in memory",
+            "Requests to the caches in memory, by cache and outcome",
             this.cache_requests.clone(),
         );
         let help = "Time from the arrival of a tile's output to its acknowledgement";
@@ -166,22 +171,22 @@ impl Default for Metrics {
         r.register_with_unit("sync", help, seconds(), this.sync_seconds.clone());
         r.register(
             "tiles_set_aside",
-            "Tiles that were given up",
+            "Tiles that were set aside after too many failures",
             this.set_aside.clone(),
         );
         r.register(
             "tile_conflicts",
-            "Outputs that differ from the one that stays",
+            "Outputs that differ from the stored output of their tile",
             this.conflicts.clone(),
         );
         r.register(
             "worker_deaths",
-            "Workers that ended without a word while they held a tile",
+            "Workers whose connection ended while they computed a tile",
             this.deaths.clone(),
         );
         r.register(
             "leases_taken_back",
-            "Leases that ended before their tile",
+            "Leases that ended before their tile was done",
             this.taken_back.clone(),
         );
         r.register(
@@ -189,30 +194,31 @@ impl Default for Metrics {
             "Phases of blocks that crews have finished",
             this.phases.clone(),
         );
-        let help = "Time that the leader of a crew took over a phase";
+        let help = "Time in which the leader of a crew finished a phase";
         r.register_with_unit("phase", help, seconds(), this.phase_seconds.clone());
         r.register(
             "spot_checks",
-            "Tiles that were computed again, by outcome",
+            "Spot checks of tiles, by outcome",
             this.spot_checks.clone(),
         );
         r.register(
             "requests",
-            "Calls that have ended, by their code",
+            "Ended calls, by method and status code",
             this.requests.clone(),
         );
-        let help = "Time of a call, of a stream until its end";
+        let help = "Duration of a call; of a stream, until the stream ends";
         r.register_with_unit("request", help, seconds(), this.request_seconds.clone());
         r.register(
             "refused",
-            "What was refused because of a limit",
+            "Calls and uploads that were rejected because of a limit",
             this.refused.clone(),
         );
-        let help = "Addresses of the store of the blobs that workers were given";
+        let help = "Signed addresses of the blob store that workers received";
         r.register("direct_addresses", help, this.addresses.clone());
-        let help = "Bytes of the blobs whose addresses were given, and of the outputs committed from there";
+        let help =
+            "Bytes of blobs whose addresses workers received, and of outputs written directly";
         r.register_with_unit("direct", help, Unit::Bytes, this.direct_bytes.clone());
-        let help = "Blobs that went through the coordinator because an address did not do";
+        let help = "Blobs that were sent through the coordinator because direct access failed";
         r.register("direct_fallbacks", help, this.fallbacks.clone());
         *this.registry.lock().unwrap_or_else(PoisonError::into_inner) = registry;
         this
@@ -220,20 +226,21 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// Everything, as OpenMetrics text; `moment` is how things stand. Looks at files.
+    /// Returns all metrics as OpenMetrics text. `readings` is the current state of the farm. Reads sizes of
+    /// files.
     ///
     /// # Errors
-    /// When a value cannot be written as text.
-    pub(crate) fn text(&self, moment: FarmReadings) -> Result<String, std::fmt::Error> {
-        // Nobody reads gauges of two moments.
+    /// [`std::fmt::Error`] if a value cannot be written as text.
+    pub(crate) fn text(&self, readings: FarmReadings) -> Result<String, std::fmt::Error> {
+        // The lock prevents a text with gauges of two moments.
         let registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);
-        self.gauges.set(moment);
+        self.gauges.set(readings);
         let mut text = String::new();
         encode(&mut text, &registry)?;
         Ok(text)
     }
 
-    /// A tile was committed.
+    /// Counts a committed tile.
     pub(crate) fn committed(&self, profile: &str, samples: u64, millis: u64) {
         let labels = [("profile", profile.to_owned())];
         self.samples.get_or_create(&labels).inc_by(samples);
@@ -242,62 +249,62 @@ impl Metrics {
             .observe(millis as f64 / 1000.0);
     }
 
-    /// A commit took this long.
+    /// Records the duration of a commit.
     pub(crate) fn commit_took(&self, time: Duration) {
         self.commit_seconds.observe(time.as_secs_f64());
     }
 
-    /// Where the store reports how long its durable writes take.
+    /// Returns the function with which the store reports the durations of durable writes.
     pub(crate) fn syncs(&self) -> Box<dyn Fn(Duration) + Send + Sync> {
         let histogram = self.sync_seconds.clone();
         Box::new(move |time| histogram.observe(time.as_secs_f64()))
     }
 
-    /// A job has ended.
+    /// Counts an ended job.
     pub(crate) fn job_ended(&self, how: &str) {
         self.jobs_ended
             .get_or_create(&[("state", how.to_owned())])
             .inc();
     }
 
-    /// Where bytes of one direction, `in` or `out`, are counted.
+    /// Returns the counter of transferred bytes in one direction, `in` or `out`.
     pub(crate) fn transferred(&self, direction: &str) -> Counter {
         self.transferred
             .get_or_create_owned(&[("direction", direction.to_owned())])
     }
 
-    /// Somebody has looked into a cache.
-    pub(crate) fn looked(&self, cache: &'static str, outcome: Cache) {
+    /// Counts a cache request.
+    pub(crate) fn cache_request(&self, cache: &'static str, outcome: CacheOutcome) {
         let outcome = match outcome {
-            Cache::Hit => "hit",
-            Cache::Miss => "miss",
+            CacheOutcome::Hit => "hit",
+            CacheOutcome::Miss => "miss",
         };
         self.cache_requests
             .get_or_create(&[("cache", cache.to_owned()), ("outcome", outcome.to_owned())])
             .inc();
     }
 
-    /// A tile was set aside.
+    /// Counts a tile that was set aside.
     pub(crate) fn tile_set_aside(&self) {
         self.set_aside.inc();
     }
 
-    /// An output differs from the one that stays.
+    /// Counts an output that differs from the stored output.
     pub(crate) fn conflict(&self) {
         self.conflicts.inc();
     }
 
-    /// Counts a worker that ended without a word while it held a tile.
+    /// Counts a worker that disconnected without notice while it had a tile.
     pub(crate) fn worker_died(&self) {
         self.deaths.inc();
     }
 
-    /// A lease has ended before its tile.
+    /// Counts a lease that ended before its tile was done.
     pub(crate) fn lease_taken_back(&self) {
         self.taken_back.inc();
     }
 
-    /// A crew has finished a phase, in this time; 0 if it is not known.
+    /// Counts a finished phase of a crew, and records its duration. A duration of 0 is unknown.
     pub(crate) fn phase_done(&self, profile: &str, time: Duration) {
         self.phases.inc();
         if !time.is_zero() {
@@ -308,14 +315,14 @@ impl Metrics {
         }
     }
 
-    /// A tile was computed again.
+    /// Counts a tile that was computed again for a check.
     pub(crate) fn spot_check(&self, outcome: &'static str) {
         self.spot_checks
             .get_or_create(&[("outcome", outcome.to_owned())])
             .inc();
     }
 
-    /// A call has ended.
+    /// Counts an ended call, and records its duration.
     pub(crate) fn request(&self, method: &str, code: &str, time: Duration) {
         self.requests
             .get_or_create(&[("method", method.to_owned()), ("code", code.to_owned())])
@@ -325,28 +332,28 @@ impl Metrics {
             .observe(time.as_secs_f64());
     }
 
-    /// A worker was given an address, to `read` or to `write` there.
+    /// Counts an address that a worker received, to `read` or to `write`.
     pub(crate) fn addressed(&self, operation: &'static str) {
         self.addresses
             .get_or_create(&[("operation", operation.to_owned())])
             .inc();
     }
 
-    /// So many bytes are between a worker and the store of the blobs.
+    /// Counts bytes that were transferred directly between a worker and the blob store.
     pub(crate) fn went_directly(&self, operation: &'static str, bytes: u64) {
         self.direct_bytes
             .get_or_create(&[("operation", operation.to_owned())])
             .inc_by(bytes);
     }
 
-    /// A worker could not use an address.
+    /// Counts a direct transfer that failed, so that the worker used the coordinator.
     pub(crate) fn fell_back(&self, operation: &'static str) {
         self.fallbacks
             .get_or_create(&[("operation", operation.to_owned())])
             .inc();
     }
 
-    /// Something was refused because of a limit.
+    /// Counts a call that was rejected because of a limit.
     pub(crate) fn refused(&self, limit: &'static str) {
         self.refused
             .get_or_create(&[("limit", limit.to_owned())])

@@ -1,4 +1,4 @@
-//! The table of the metrics in the manual is the one that is served.
+//! Tests that the table of metrics in the manual equals the served metrics.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use super::*;
 
 const MANUAL: &str = include_str!("../../../../docs/operations.md");
 
-fn moment() -> FarmReadings {
+fn readings() -> FarmReadings {
     FarmReadings {
         ready: true,
         jobs: Vec::new(),
@@ -20,15 +20,15 @@ fn moment() -> FarmReadings {
     }
 }
 
-/// The names that are served, as samples have them, with their types.
+/// Returns the names of the served metrics as in samples, with their types.
 fn served() -> BTreeMap<String, String> {
     let metrics = Metrics::default();
-    // What has labels is served once there is a value of it.
+    // A metric with labels is served only after it has a value.
     metrics.committed("cpu/x", 1, 1);
     metrics.phase_done("cpu/x", Duration::from_millis(1));
     metrics.job_ended("done");
     metrics.transferred("in").inc();
-    metrics.looked("scene", Cache::Hit);
+    metrics.cache_request("scene", CacheOutcome::Hit);
     metrics.spot_check("same");
     metrics.request("Jobs/List", "OK", Duration::ZERO);
     metrics.refused("jobs");
@@ -60,7 +60,7 @@ fn served() -> BTreeMap<String, String> {
         jobs,
         members,
         data_dir: Some(directory.path().to_owned()),
-        ..moment()
+        ..readings()
     });
     let text = text.unwrap();
     let name_and_kind = |line: &str| {
@@ -89,7 +89,7 @@ fn served() -> BTreeMap<String, String> {
 }
 
 #[test]
-fn the_manual_lists_every_metric_and_no_other() {
+fn manual_lists_exactly_served_metrics() {
     let row = |line: &str| {
         let mut cells = line.strip_prefix("| `sightline_")?.split('|');
         let name = cells
@@ -106,17 +106,17 @@ fn the_manual_lists_every_metric_and_no_other() {
 }
 
 #[test]
-fn what_is_counted_is_served() {
+fn recorded_values_are_served() {
     let metrics = Metrics::default();
     metrics.committed("cpu/x", 17, 2500);
     metrics.request("Jobs/Submit", "OK", Duration::from_millis(20));
     metrics.phase_done("cpu/x", Duration::from_millis(250));
-    // A worker of before says no time.
+    // Workers of earlier versions do not report the duration.
     metrics.phase_done("cpu/x", Duration::ZERO);
     metrics.refused("rate");
-    metrics.looked("scene", Cache::Miss);
+    metrics.cache_request("scene", CacheOutcome::Miss);
     metrics.syncs()(Duration::from_millis(2));
-    let text = metrics.text(moment()).unwrap();
+    let text = metrics.text(readings()).unwrap();
     for line in [
         "sightline_samples_total{profile=\"cpu/x\"} 17",
         "sightline_tile_seconds_sum{profile=\"cpu/x\"} 2.5",

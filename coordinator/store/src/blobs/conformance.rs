@@ -1,5 +1,5 @@
-//! One suite for every blob store: random operations against a map, result by result and then all of the
-//! contents.
+//! The test suite of all blob stores. Random operations are compared with a map, after each operation and at
+//! the end.
 
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -14,14 +14,14 @@ use super::*;
 enum BlobOp {
     Put(u8),
     PutUnsynced(u8),
-    /// A stream of this blob in pieces of this many bytes, announced as the blob of the second number.
+    /// A stream of the first blob in pieces of this many bytes, with the digest of the second blob.
     Stream(u8, u8, usize),
     /// A stream that is dropped before it is finished.
     Abandon(u8),
     Remove(u8),
 }
 
-/// Blob `n`: its length is `n * 37`, so that 0 is the empty blob.
+/// Returns the bytes of blob `n`. Their length is `n * 37`, so that blob 0 is empty.
 fn content(n: u8) -> Vec<u8> {
     (0..usize::from(n) * 37)
         .map(|i| (i as u8).wrapping_mul(n))
@@ -110,7 +110,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(32) })]
 
     #[test]
-    fn blobs_in_memory_and_in_files_are_the_model(ops in prop::collection::vec(op(), 1..20)) {
+    fn blobs_in_memory_and_files_match_model(ops in prop::collection::vec(op(), 1..20)) {
         let directory = tempfile::tempdir().unwrap();
         let files = FileBlobs::open(directory.path()).unwrap();
         let memory = MemoryBlobs::new();
@@ -134,7 +134,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(8) })]
 
     #[test]
-    fn blobs_in_a_bucket_are_the_model(ops in prop::collection::vec(op(), 1..20), cache in 0..200_u64) {
+    fn blobs_in_bucket_match_model(ops in prop::collection::vec(op(), 1..20), cache in 0..200_u64) {
         let served = Served::new();
         let blobs = served.open(cache);
         let mut model = BTreeMap::new();
@@ -142,7 +142,7 @@ proptest! {
             step(&blobs, &mut model, op);
         }
         compare(&blobs, &model);
-        // Nothing but the blobs is in the bucket.
+        // The bucket contains only the blobs.
         let objects = served.server.objects("farm", "").len();
         prop_assert_eq!(objects, model.len());
         drop(blobs);
@@ -151,7 +151,7 @@ proptest! {
 }
 
 #[test]
-fn a_blob_error_is_found_behind_an_io_error() {
+fn io_error_contains_blob_error() {
     let directory = tempfile::tempdir().unwrap();
     let files = FileBlobs::open(directory.path()).unwrap();
     let memory = MemoryBlobs::new();

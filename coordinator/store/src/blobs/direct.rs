@@ -1,8 +1,9 @@
-//! What workers do with a store of blobs by themselves: they read blobs and write outputs at addresses that
-//! the coordinator signs, each for one kind of request, one object and a short time.
+//! Direct access of workers to a blob store: workers read blobs and write outputs at signed addresses.
 //!
-//! A worker never writes under the name of a blob, because whatever has such a name has that digest. It
-//! writes beside the blobs, and the coordinator puts what it has read and checked in place.
+//! The coordinator signs each address for one kind of request, one object and a short time. A worker never
+//! writes under the name of a blob, because the bytes under such a name must have that digest. The worker
+//! writes to a separate object, and the coordinator copies that to the blob after it has read and checked the
+//! bytes.
 
 use std::fmt;
 use std::time::{Duration, SystemTime};
@@ -11,14 +12,14 @@ use sightline_records::ids::{Digest, Lease, hex};
 
 use super::error::BlobError;
 
-/// A signed address. Whoever has it may make its request until it expires, so it is in no message, no event
-/// and no log.
+/// A signed address. Every holder of the address can make its request until it expires, so messages, events
+/// and logs never contain it.
 pub struct Address {
-    /// The address, with its signature.
+    /// The URL with its signature.
     pub url: String,
-    /// The signed headers, which the request must have.
+    /// The signed headers, which the request must contain.
     pub headers: Vec<(&'static str, String)>,
-    /// The time for which the store accepts it.
+    /// The time for which the store accepts the address after it was signed.
     pub lives: Duration,
 }
 
@@ -28,19 +29,19 @@ impl fmt::Debug for Address {
     }
 }
 
-/// An output that a worker writes by itself.
+/// An output that a worker writes to the store directly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Staged {
-    /// The lease under which it was computed.
+    /// The lease under which the output was computed.
     pub lease: Lease,
-    /// SHA-256 of the output: the address is good for no other bytes.
+    /// The SHA-256 digest of the output. The store accepts no other bytes at the address.
     pub sha256: [u8; 32],
-    /// Its length.
+    /// The length of the output, in bytes.
     pub bytes: u64,
 }
 
 impl Staged {
-    /// The name of its object, which is no blob's.
+    /// Returns the name of the output's object, which is never the name of a blob.
     pub(super) fn name(&self) -> String {
         let Lease { job, tile, id } = self.lease;
         format!(
@@ -52,45 +53,49 @@ impl Staged {
     }
 }
 
-/// A store of blobs that workers reach by themselves. All calls block.
+/// A blob store that workers access directly. All calls block.
 pub trait Direct: Send + Sync {
-    /// The authorities, as PEM, that are trusted for the store beside those of the system; empty for none.
+    /// Returns the certificate authorities, as PEM, that workers trust in addition to the system's; empty for
+    /// none.
     fn authorities(&self) -> &[u8];
 
-    /// Where a blob is read.
+    /// Returns the address at which a worker reads a blob.
     ///
     /// # Errors
-    /// When there are no keys to sign with.
+    /// An error if there are no keys to sign with.
     fn reading(&self, digest: &Digest) -> Result<Address, BlobError>;
 
-    /// Where an output is written.
+    /// Returns the address at which a worker writes an output.
     ///
     /// # Errors
-    /// When there are no keys to sign with.
+    /// An error if there are no keys to sign with.
     fn writing(&self, staged: &Staged) -> Result<Address, BlobError>;
 
-    /// Reads an output that a worker has written; never more than it has announced.
+    /// Reads an output that a worker has written, at most as many bytes as it has announced.
     ///
     /// # Errors
-    /// [`BlobError::Missing`]; [`BlobError::Damaged`] when it has another length.
+    /// [`BlobError::Missing`] if the output is absent; [`BlobError::Damaged`] if the output does not have the
+    /// announced length.
     fn read_staged(&self, staged: &Staged) -> Result<Vec<u8>, BlobError>;
 
-    /// Makes a blob of an output that a worker has written and of which these are the bytes. Its object stays
-    /// beside the blob.
+    /// Creates a blob from an output that a worker has written. `bytes` are the bytes of the output.
+    ///
+    /// The object of the output is not removed.
     ///
     /// # Errors
-    /// As [`put`](super::Blobs::put).
+    /// The errors of [`put`](super::Blobs::put).
     fn adopt(&self, staged: &Staged, digest: &Digest, bytes: &[u8]) -> Result<(), BlobError>;
 
-    /// Removes an output that a worker has written, whether it is there or not.
+    /// Removes an output that a worker may have written.
     ///
     /// # Errors
-    /// When the store does not answer.
+    /// An error if the store does not answer.
     fn discard(&self, staged: &Staged) -> Result<(), BlobError>;
 
-    /// Removes the outputs of workers whose time `is_old`; returns how many.
+    /// Removes the outputs of workers whose write time satisfies `is_old`. Returns the number of removed
+    /// outputs.
     ///
     /// # Errors
-    /// When the store does not answer.
+    /// An error if the store does not answer.
     fn sweep(&self, is_old: &dyn Fn(SystemTime) -> bool) -> Result<u64, BlobError>;
 }

@@ -1,4 +1,4 @@
-//! What can go wrong with blobs, and what to do about it.
+//! The errors of blob stores. Each message names a remedy.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -9,67 +9,69 @@ use sightline_records::ids::Digest;
 
 use super::super::identity::StoreId;
 
-/// An operation on a blob that failed.
+/// An error of an operation on a blob.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum BlobError {
-    /// The disk is full: take in no more data for now.
-    #[error("no space left to write {}; free some and try again", .path.display())]
+    /// The disk is full. Accept no more data for now.
+    #[error("no space left to write {}; free some space and try again", .path.display())]
     NoSpace {
-        /// The file that was being written.
+        /// The path of the file that was being written.
         path: PathBuf,
     },
     /// The blob is absent.
-    #[error("blob {} is missing; it must be uploaded or computed again", .path.display())]
+    #[error("blob {} is missing; upload or compute the blob again", .path.display())]
     Missing {
-        /// Where the blob would be.
+        /// The path that the blob would have.
         path: PathBuf,
     },
     /// The blob's bytes do not have the digest that is its name.
-    #[error("blob {} is damaged; delete it, it must be uploaded or computed again", .path.display())]
+    #[error("blob {} is damaged; delete the blob, and upload or compute it again", .path.display())]
     Damaged {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
     },
-    /// The disk has the blob and does not give its bytes.
+    /// The disk contains the blob but does not return its bytes.
     #[error(
-        "blob {} cannot be read: {source}; it must be uploaded or computed again; check the disk",
+        "blob {} cannot be read: {source}; check the disk, and upload or compute the blob again",
         .path.display()
     )]
     Unreadable {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The system's error.
         source: Arc<io::Error>,
     },
-    /// The bytes written do not have the digest that was announced.
-    #[error("digest {expected} was announced, {found} arrived; send it again")]
+    /// The written bytes do not have the announced digest.
+    #[error(
+        "the announced digest is {expected}, but the received bytes have {found}; send the bytes again"
+    )]
     Mismatch {
-        /// The digest announced, in hexadecimal.
+        /// The announced digest, in hexadecimal.
         expected: String,
         /// The digest of the bytes that arrived, in hexadecimal.
         found: String,
     },
-    /// The object store has no such bucket.
-    #[error("there is no bucket for {place}; create it, or correct --blobs")]
+    /// The object store has no bucket with this name.
+    #[error("the bucket of {place} does not exist; create it, or correct --blobs")]
     NoBucket {
         /// The bucket, with the prefix.
         place: String,
     },
-    /// The object store does not accept the keys, or they may not do this.
+    /// The object store rejects the keys, or the keys do not permit this operation.
     #[error(
-        "the object store does not let us {doing} {place} ({reason}); check AWS_ACCESS_KEY_ID and \
-         AWS_SECRET_ACCESS_KEY or the file that keys= names, and that they may list, read, write and delete \
-         there"
+        "the object store denies permission to {doing} {place} ({reason}); check AWS_ACCESS_KEY_ID \
+         and AWS_SECRET_ACCESS_KEY or the file of keys=, and their permissions to list, read, \
+         write and delete"
     )]
     Refused {
         /// The operation.
         doing: &'static str,
         /// The object.
         place: String,
-        /// The store's code.
+        /// The error code of the store.
         reason: String,
     },
-    /// The object store does not answer, or is in trouble.
+    /// The object store does not answer, or reports an internal fault.
     #[error(
         "cannot {doing} {place}: the object store cannot be reached ({reason}); check the endpoint, its \
          certificate and the network, and try again"
@@ -79,37 +81,39 @@ pub enum BlobError {
         doing: &'static str,
         /// The object.
         place: String,
-        /// What went wrong.
+        /// The description of the fault.
         reason: String,
     },
     /// The object store answers with another error.
     #[error(
-        "cannot {doing} {place}: the object store answers {reason}; check that it speaks S3, and its log"
+        "cannot {doing} {place}: the object store answers {reason}; check that the store supports \
+         S3, and the log of the store"
     )]
     Object {
         /// The operation.
         doing: &'static str,
         /// The object.
         place: String,
-        /// The store's code.
+        /// The error code of the store.
         reason: String,
     },
-    /// The settings of an object store cannot be used.
+    /// The settings of an object store are invalid.
     #[error("{place} cannot be used: {reason}; correct --blobs or the variables AWS_*")]
     Unusable {
         /// The bucket, with the prefix.
         place: String,
-        /// What is wrong.
+        /// The description of the fault.
         reason: String,
     },
-    /// The record of the blobs' owner cannot be understood.
+    /// The record of the blobs' owner is invalid.
     #[error(
-        "{} names no store (32 hexadecimal digits are expected); if these blobs belong to this coordinator, \
-         run `sightline store verify --claim-blobs` with its --data-dir, --store and --blobs",
+        "{} does not name a store (32 hexadecimal digits are expected); if these blobs belong to \
+         this coordinator, run `sightline store verify --claim-blobs` with its --data-dir, --store \
+         and --blobs",
         .path.display()
     )]
     Owner {
-        /// The file or object.
+        /// The path of the file or object.
         path: PathBuf,
     },
     /// A file operation failed.
@@ -117,7 +121,7 @@ pub enum BlobError {
     Io {
         /// The operation.
         doing: &'static str,
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The system's error.
         source: Arc<io::Error>,
@@ -133,17 +137,17 @@ pub(super) fn parse_owner(bytes: &[u8], path: &Path) -> Result<StoreId, BlobErro
 }
 
 impl BlobError {
-    /// Whether there is a blob that is of no use: it can be removed or replaced.
+    /// Returns true if a blob exists but is unusable. Such a blob can be removed or replaced.
     pub fn is_broken(&self) -> bool {
         matches!(self, Self::Damaged { .. } | Self::Unreadable { .. })
     }
 
-    /// Whether the blob must be uploaded or computed again.
+    /// Returns true if the blob must be uploaded or computed again.
     pub fn is_lost(&self) -> bool {
         self.is_broken() || matches!(self, Self::Missing { .. })
     }
 
-    /// Whether the same may succeed later without anybody changing a blob: what needs it waits.
+    /// Returns true if the operation may succeed later without a change to a blob. The caller can retry then.
     pub fn passes(&self) -> bool {
         matches!(
             self,
@@ -155,7 +159,7 @@ impl BlobError {
     }
 }
 
-/// A function that turns an error of the system, met while `doing` something to `path`, into a [`BlobError`].
+/// Returns a function that converts a system error of an operation (`doing`) on `path` into a [`BlobError`].
 pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> BlobError {
     let path = path.to_owned();
     move |source| match source.kind() {
@@ -175,18 +179,19 @@ pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> B
     }
 }
 
-/// Whether the disk cannot read a file, or the file system finds it damaged. Other errors are of the machine
-/// or the permissions, and say nothing about the file.
+/// Returns true if the disk cannot read a file, or the file system reports damage to the file.
+///
+/// Other errors concern the machine or the permissions, and do not indicate damage to the file.
 fn is_of_the_disk(e: &io::Error) -> bool {
     let of_the_disk = [Errno::IO, Errno::UCLEAN, Errno::BADMSG].map(Errno::raw_os_error);
     e.raw_os_error()
         .is_some_and(|number| of_the_disk.contains(&number))
 }
 
-/// Checks the digest of what was written against the one announced.
+/// Compares the digest of the written bytes with the announced digest, and returns the former.
 ///
 /// # Errors
-/// [`BlobError::Mismatch`].
+/// [`BlobError::Mismatch`] if the digests differ.
 pub(super) fn check_announced(
     found: blake3::Hash,
     expected: Option<&Digest>,

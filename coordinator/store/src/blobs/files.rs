@@ -1,9 +1,10 @@
 //! Blobs as files named by their digest, two levels of directories deep.
 //!
-//! A file is written under `tmp/` (`tmp-NAME/` where processes share the directory), synced, renamed into
-//! place, and its directories synced: a file under its final name is complete. The crate tempfile syncs
-//! nothing and would replace only the choice of the temporary name. Open the store first: its lock keeps two
-//! coordinators out of one data directory. All operations go through a [`Disk`], which tests replace.
+//! A file is written under `tmp/` (`tmp-NAME/` if processes share the directory), synced, and renamed into
+//! place. Then its directories are synced, so a file under its final name is complete. The crate tempfile
+//! does not sync, and would replace only the choice of the temporary name. Open the store first: its lock
+//! prevents two coordinators from using one data directory. All operations use a [`Disk`], which tests
+//! replace.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, Write};
@@ -24,26 +25,27 @@ use super::error::{BlobError, check_announced, fault, parse_owner};
 pub struct FileBlobs {
     disk: Arc<dyn Disk>,
     root: Arc<PathBuf>,
-    /// Where files that are not finished lie.
+    /// The folder of unfinished files.
     unfinished: Arc<PathBuf>,
     written: Arc<AtomicU64>,
 }
 
 impl FileBlobs {
-    /// Opens or creates the directory and removes unfinished files of an earlier run.
+    /// Opens or creates the directory, and removes unfinished files of an earlier run.
     ///
     /// # Errors
-    /// When the directory cannot be created, listed or synced.
+    /// An error if the directory cannot be created, listed or synced.
     pub fn open(directory: &Path) -> Result<Self, BlobError> {
         Self::open_on(Arc::new(SystemDisk), directory, "tmp")
     }
 
-    /// The same in a directory that several processes share; each has a name of its own, for ever. A file is
-    /// whole before it gets its final name, and files of one name are equal, so that no process sees what
-    /// another one has begun.
+    /// Opens or creates a directory that several processes share, as [`FileBlobs::open`] does.
+    ///
+    /// Each process has its own permanent `name`. A file is complete before it gets its final name, and files
+    /// of one name are equal, so no process sees an unfinished file of another process.
     ///
     /// # Errors
-    /// As [`FileBlobs::open`].
+    /// The errors of [`FileBlobs::open`].
     pub fn open_shared(directory: &Path, name: &str) -> Result<Self, BlobError> {
         Self::open_on(Arc::new(SystemDisk), directory, &format!("tmp-{name}"))
     }
@@ -51,7 +53,7 @@ impl FileBlobs {
     /// Opens an existing directory without changing it, for reading only.
     ///
     /// # Errors
-    /// [`BlobError::Io`] when the directory does not exist or cannot be listed.
+    /// [`BlobError::Io`] if the directory does not exist or cannot be listed.
     pub fn inspect(directory: &Path) -> Result<Self, BlobError> {
         let blobs = Self::at(Arc::new(SystemDisk), directory, "tmp");
         blobs
@@ -61,7 +63,7 @@ impl FileBlobs {
         Ok(blobs)
     }
 
-    /// Opens a directory on a disk; `unfinished` is the name of the folder for unfinished files.
+    /// Opens a directory on a disk. `unfinished` is the name of the folder for unfinished files.
     pub(crate) fn open_on(
         disk: Arc<dyn Disk>,
         directory: &Path,
@@ -89,13 +91,13 @@ impl FileBlobs {
         }
     }
 
-    /// The path of a blob, whether it is present or not. Do not write there.
+    /// Returns the path of a blob, which may be absent. Callers must not write to the path.
     pub fn path(&self, digest: &Digest) -> PathBuf {
         let hex = hex(digest);
         self.root.join(&hex[..2]).join(&hex[2..4]).join(&hex)
     }
 
-    /// A fresh path for a file that is not finished.
+    /// Returns an unused path for an unfinished file.
     fn unfinished(&self) -> PathBuf {
         let number = self.written.fetch_add(1, Ordering::Relaxed);
         self.unfinished
@@ -109,16 +111,16 @@ impl FileBlobs {
                 if synced {
                     self.sync(&digest)?;
                 }
-                // Who puts a blob is going to name it, so it must not look like one that nobody has named
-                // for long.
+                // The client that puts a blob is about to reference it, so the blob must not look like an old
+                // blob without references.
                 let path = self.path(&digest);
                 self.disk
                     .date(&path, SystemTime::now())
-                    .map_err(fault("date", &path))?;
+                    .map_err(fault("set the time of", &path))?;
                 return Ok(digest);
             }
             Err(BlobError::Missing { .. }) => {}
-            Err(e) if e.is_broken() => tracing::warn!("{e}; it is written again now"),
+            Err(e) if e.is_broken() => tracing::warn!("{e}; the coordinator writes the blob again"),
             Err(other) => return Err(other),
         }
         let mut writer = self.writer()?;
@@ -138,7 +140,7 @@ impl FileBlobs {
 
     /// Syncs the directories that lead to a blob.
     fn sync_directories(&self, place: &Path) -> Result<(), BlobError> {
-        // Both levels lie under the root by construction of `path`.
+        // By construction of `path`, both levels lie under the root.
         let inner = place.parent().unwrap_or(&self.root);
         let outer = inner.parent().unwrap_or(&self.root);
         [inner, outer, &self.root]
@@ -150,7 +152,7 @@ impl FileBlobs {
         self.disk.sync_folder(folder).map_err(fault("sync", folder))
     }
 
-    /// A file for a blob that arrives.
+    /// Creates a writer for a blob that arrives in pieces.
     pub(super) fn writer(&self) -> Result<FileWriter, BlobError> {
         let path = self.unfinished();
         let file = self
@@ -234,7 +236,7 @@ impl Blobs for FileBlobs {
                         .file_name()
                         .and_then(|name| name.to_str())
                         .unwrap_or_default();
-                    // Files that are no blobs are nobody's business.
+                    // Skip files that are not blobs.
                     let Ok(digest) = blake3::Hash::from_hex(name) else {
                         continue;
                     };
@@ -311,7 +313,7 @@ impl Blobs for FileBlobs {
     }
 }
 
-/// A file that is being written.
+/// A blob file that is being written.
 pub(super) struct FileWriter {
     blobs: FileBlobs,
     path: PathBuf,
@@ -321,17 +323,17 @@ pub(super) struct FileWriter {
 }
 
 impl FileWriter {
-    /// The digest of what was written so far.
+    /// Returns the digest of the bytes written so far.
     pub(super) fn digest(&self) -> blake3::Hash {
         self.hasher.finalize()
     }
 
-    /// Where it is until it is in its place.
+    /// Returns the path of the unfinished file.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Moves it into its place.
+    /// Moves the finished file into its place.
     pub(super) fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
         let digest = check_announced(self.hasher.finalize(), expected)?;
         if sync {
@@ -404,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_is_read_back_and_damage_is_found_and_repaired() {
+    fn put_replaces_damaged_blob() {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let digest = blobs.put(b"walls").unwrap();
@@ -428,11 +430,11 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_that_the_disk_does_not_give_is_replaced() {
+    fn put_replaces_unreadable_blob() {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let digest = blobs.put(b"walls").unwrap();
-        // The page 0 of a process is not there, and reading it is EIO, as of a broken sector.
+        // Page 0 of a process is not mapped, so reading it fails with EIO, like reading a broken sector.
         let break_it = || {
             std::fs::remove_file(blobs.path(&digest)).unwrap();
             std::os::unix::fs::symlink("/proc/self/mem", blobs.path(&digest)).unwrap();
@@ -450,13 +452,13 @@ mod tests {
         assert_eq!(blobs.read(&digest).unwrap(), b"walls");
         break_it();
         assert!(blobs.remove(&digest).unwrap() && !blobs.has(&digest).unwrap());
-        // A fault of the machine is none of the file.
+        // An error of the machine does not concern the file.
         let permission = fault("read", directory.path())(ErrorKind::PermissionDenied.into());
         assert!(!permission.is_lost() && !permission.passes());
     }
 
     #[test]
-    fn a_stream_is_kept_only_if_it_is_what_was_announced() {
+    fn stream_rejects_wrong_digest() {
         let directory = tempfile::tempdir().unwrap();
         let unfinished = directory.path().join("tmp");
         let blobs = FileBlobs::open(directory.path()).unwrap();
@@ -479,7 +481,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_is_checked_before_it_is_opened_and_scratch_files_have_no_name() {
+    fn open_rejects_damaged_blob_and_scratch_files_are_unnamed() {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let digest = blobs.put(b"walls").unwrap();
@@ -507,12 +509,12 @@ mod tests {
     }
 
     #[test]
-    fn processes_that_share_a_directory_leave_each_others_unfinished_files_alone() {
+    fn shared_directory_keeps_unfinished_files_of_other_processes() {
         let directory = tempfile::tempdir().unwrap();
         let first = FileBlobs::open_shared(directory.path(), "first").unwrap();
         let mut writing = first.put_stream().unwrap();
         writing.append(b"wal").unwrap();
-        // Another one starts, and writes the same.
+        // Another process starts and writes the same blob.
         let second = FileBlobs::open_shared(directory.path(), "second").unwrap();
         let digest = second.put(b"walls").unwrap();
         writing.append(b"ls").unwrap();
@@ -524,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn unfinished_files_are_removed_at_the_next_start() {
+    fn next_start_removes_unfinished_files() {
         let directory = tempfile::tempdir().unwrap();
         let unfinished = directory.path().join("tmp");
         let kept = FileBlobs::open(directory.path())

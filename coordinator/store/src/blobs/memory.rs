@@ -14,7 +14,7 @@ use super::error::{BlobError, check_announced, fault};
 
 type Map = BTreeMap<Digest, (Arc<[u8]>, SystemTime)>;
 
-/// Blobs without a disk. Clones share them.
+/// A blob store without a disk. Clones share the blobs.
 #[derive(Clone, Debug, Default)]
 pub struct MemoryBlobs {
     blobs: Arc<Mutex<Map>>,
@@ -22,13 +22,13 @@ pub struct MemoryBlobs {
 }
 
 impl MemoryBlobs {
-    /// No blobs.
+    /// Creates a store without blobs.
     pub fn new() -> Self {
         Self::default()
     }
 
     fn map(&self) -> MutexGuard<'_, Map> {
-        // Every change is one insertion or removal, so a panic elsewhere cannot leave a blob half written.
+        // Every change is one insertion or removal, so a panic cannot leave a blob half written.
         self.blobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -118,7 +118,7 @@ impl Blobs for MemoryBlobs {
     }
 }
 
-/// A blob that is being collected.
+/// A writer that collects the bytes of a blob.
 struct MemoryWriter {
     blobs: MemoryBlobs,
     bytes: Vec<u8>,

@@ -1,4 +1,5 @@
-//! Large, content-addressed data beside the records: scenes, their chunks, packs, tile results, `.pvs` files.
+//! Large, content-addressed data next to the records: scenes, their chunks, packs, tile results, `.pvs`
+//! files.
 
 mod api;
 mod direct;

@@ -39,7 +39,7 @@ pub(crate) trait Disk: fmt::Debug + Send + Sync {
     /// Opens a file.
     fn open(&self, path: &Path, access: Access) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Returns the attributes of a file, or `None` if there is none.
+    /// Returns the attributes of a file, or `None` if the file does not exist.
     fn attributes(&self, path: &Path) -> io::Result<Option<Attributes>>;
 
     /// Creates a folder and its missing parents.
@@ -48,7 +48,7 @@ pub(crate) trait Disk: fmt::Debug + Send + Sync {
     /// Returns the paths in a folder, in ascending order.
     fn list(&self, folder: &Path) -> io::Result<Vec<PathBuf>>;
 
-    /// Moves a file, in place of an existing one.
+    /// Moves a file, and replaces an existing one.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
     /// Gives a file a second name, if the file system can.

@@ -17,9 +17,9 @@ pub(crate) use api::{Access, Disk, DiskFile};
 pub(crate) use system::SystemDisk;
 pub(crate) use unreadable::{ZeroUnreadable, is_unreadable};
 
-/// Writes a file in one step that no crash divides: the path then names the old content or the new one.
+/// Writes a file in one atomic step. After a crash, the path names the old content or the new content.
 ///
-/// `beside` is a path in the same folder that nothing else uses.
+/// `beside` is a path in the same folder that has no other use.
 pub(crate) fn replace(
     disk: &dyn Disk,
     path: &Path,
@@ -46,7 +46,7 @@ pub(crate) fn create_folder(disk: &dyn Disk, path: &Path) -> io::Result<()> {
             folder
         };
         unsynced.push(folder);
-        // The name of an existing folder is not this function's concern.
+        // If the folder exists, its name was made durable earlier.
         if disk.list(folder).is_ok() {
             break;
         }
@@ -65,7 +65,7 @@ pub(crate) fn remove_if_present(disk: &dyn Disk, path: &Path) -> io::Result<()> 
     }
 }
 
-/// Reads a whole file of at most `limit` bytes; bytes beyond are left unread.
+/// Reads at most the first `limit` bytes of a file.
 pub(crate) fn read_up_to(disk: &dyn Disk, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     disk.open(path, Access::Read)?

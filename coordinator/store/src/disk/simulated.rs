@@ -1,10 +1,10 @@
-//! A simulated disk for tests: a power failure loses, reorders or tears unsynced writes, and writes can
-//! fail, end on a full disk, or reach another place.
+//! A simulated disk for tests: a power failure loses, reorders or tears unsynced writes. Writes can fail,
+//! fill the disk, or reach another place.
 //!
 //! A file has durable bytes and operations that are not synced yet. At a power failure each sector of an
-//! unsynced write and each unsynced name survives or not, by the dice of the seed. A failed sync drops
-//! operations for good, as Linux does. All decisions come from one generator, so that a schedule is a
-//! function of its seed.
+//! unsynced write and each unsynced name survives or is lost, by the random numbers of the seed. A failed
+//! sync drops operations permanently, as Linux does. All decisions come from one generator, so that a
+//! schedule is a function of its seed.
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
@@ -18,36 +18,36 @@ use super::api::{Access, Attributes, Disk, DiskFile};
 
 const SECTOR: usize = 512;
 
-/// Rates of faults: one in the given number of operations; 0 for never.
+/// The frequency of each fault: one in the given number of operations fails, at random. 0 means never.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Reads that fail with EIO.
+    /// The mean number of reads per read that fails with EIO.
     pub read: u64,
-    /// Writes that fail with EIO, after a part was written.
+    /// The mean number of writes per write that fails with EIO after a part was written.
     pub write: u64,
-    /// Syncs that fail with EIO.
+    /// The mean number of syncs per sync that fails with EIO.
     pub sync: u64,
-    /// Writes that reach another place of the same file or of another one, and report success. One happens at
-    /// most: two can erase a frame together with every record of it.
+    /// The mean number of writes per write that reaches another place of the same or of another file, and
+    /// reports success. At most one happens, because two can erase a frame together with every record of it.
     pub misdirected: u64,
 }
 
-/// Counts of the faults that happened.
+/// The numbers of faults that happened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// The number of faults of the kind `failed_reads`.
+    /// The number of reads that failed.
     pub failed_reads: u64,
-    /// The number of faults of the kind `failed_writes`.
+    /// The number of writes that failed.
     pub failed_writes: u64,
-    /// The number of faults of the kind `failed_syncs`.
+    /// The number of syncs that failed.
     pub failed_syncs: u64,
-    /// The number of faults of the kind `full`.
+    /// The number of writes that met a full disk.
     pub full: u64,
-    /// The number of faults of the kind `misdirected`.
+    /// The number of misdirected writes.
     pub misdirected: u64,
-    /// The number of faults of the kind `power_failures`.
+    /// The number of power failures.
     pub power_failures: u64,
-    /// The number of faults of the kind `lost`.
+    /// The number of lost unsynced operations: sectors of writes, changes of lengths, and names.
     pub lost: u64,
 }
 
@@ -97,7 +97,7 @@ struct Content {
     unreadable: Option<usize>,
 }
 
-/// A name: of a file, by its number, or of a folder.
+/// The target of a name: a file, by its number, or a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Node {
     File(usize),
@@ -136,14 +136,14 @@ struct State {
     seen: BTreeMap<PathBuf, Node>,
     unsynced: Vec<NameChange>,
     faults: Faults,
-    /// Bytes that still fit.
+    /// The number of bytes that still fit; `None` for no limit.
     room: Option<u64>,
     off: bool,
     clock: u64,
     counts: Counts,
 }
 
-/// The disk. Clones share it.
+/// A simulated disk. Clones share it.
 #[derive(Clone)]
 pub struct SimulatedDisk(Arc<Mutex<State>>);
 
@@ -212,7 +212,7 @@ impl State {
         self.room = self.room.map(|room| room - grows);
         let rate = self.faults.misdirected;
         if error.is_none() && self.counts.misdirected == 0 && self.one_in(rate) {
-            // The page cache is right; the disk writes the bytes elsewhere.
+            // The page cache is correct, but the disk writes the bytes to another place.
             self.counts.misdirected += 1;
             let victim = if self.one_in(2) {
                 file
@@ -246,7 +246,7 @@ impl State {
         let rate = self.faults.sync;
         let fails = self.one_in(rate);
         for change in changes {
-            // The kernel drops the pages of a failed sync and calls them clean.
+            // The kernel drops the pages of a failed sync and marks them clean.
             if !fails || self.one_in(2) {
                 change.apply(&mut self.files[file].durable);
             }
@@ -258,10 +258,10 @@ impl State {
         Ok(())
     }
 
-    /// Decides about every unsynced operation: it becomes durable, or it is lost.
+    /// Makes every unsynced operation durable or drops it.
     fn power_failure(&mut self) {
         self.counts.power_failures += 1;
-        // Some failures lose everything unsynced, some nothing, most a part.
+        // Depending on the mood, a failure loses all unsynced operations, none, or a part.
         let mood = self.below(4);
         for file in 0..self.files.len() {
             for change in std::mem::take(&mut self.files[file].unsynced) {
@@ -286,7 +286,7 @@ impl State {
                 self.counts.lost += 1;
             }
         }
-        // A name in a folder that is lost is lost.
+        // A name in a lost folder is lost, too.
         let folders: Vec<PathBuf> = self
             .durable
             .iter()
@@ -302,7 +302,7 @@ impl State {
     }
 }
 
-/// Divides a write at the borders of sectors.
+/// Splits a write at the boundaries of sectors.
 fn sectors(mut at: usize, mut bytes: &[u8]) -> Vec<Change> {
     let mut pieces = Vec::new();
     while !bytes.is_empty() {
@@ -335,12 +335,12 @@ impl SimulatedDisk {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sets the rates of faults from now on.
+    /// Sets the frequency of each fault from now on.
     pub fn set_faults(&self, faults: Faults) {
         self.state().faults = faults;
     }
 
-    /// Limits the bytes that can still be written; `None` for no limit.
+    /// Limits the number of bytes that can still be written; `None` for no limit.
     pub fn set_room(&self, room: Option<u64>) {
         self.state().room = room;
     }
@@ -360,7 +360,7 @@ impl SimulatedDisk {
         }
     }
 
-    /// Makes a sector of a file unreadable, by the offset of one of its bytes.
+    /// Makes the sector that contains the byte at `at` unreadable.
     #[cfg(test)]
     pub fn spoil(&self, path: &Path, at: usize) {
         let mut state = self.state();
@@ -376,12 +376,12 @@ impl SimulatedDisk {
         state.power_failure();
     }
 
-    /// Switches the power on again.
+    /// Switches the power on.
     pub fn power_on(&self) {
         self.state().off = false;
     }
 
-    /// Changes one bit of a durable file that has bytes; returns false if there is none.
+    /// Changes one bit of a nonempty durable file. Returns false if no such file exists.
     pub fn flip_bit(&self) -> bool {
         let mut state = self.state();
         let files: Vec<usize> = (0..state.files.len())

@@ -1,4 +1,4 @@
-//! A disk on which unreadable sectors read as zeros, so that a repair can use the bytes around them.
+//! A disk on which unreadable sectors read as zeros. A repair can thereby use the bytes around them.
 //!
 //! A zeroed frame of the journal does not match its check, so that it counts as damaged.
 
@@ -8,21 +8,21 @@ use std::time::SystemTime;
 
 use super::api::{Access, Attributes, Disk, DiskFile};
 
-/// The size of the parts that are read on their own, in bytes: drives report errors for whole sectors.
+/// The size of the parts that are read separately, in bytes. Drives report errors for complete sectors.
 const SECTOR: u64 = 512;
 
-/// Returns true for the error of a sector that cannot be read (EIO).
+/// Returns true if the error indicates an unreadable sector (EIO).
 pub(crate) fn is_unreadable(e: &io::Error) -> bool {
     e.raw_os_error() == Some(5)
 }
 
-/// Another disk, whose unreadable sectors are zeros in files that are opened with [`Access::Read`].
+/// Another disk, whose unreadable sectors read as zeros in files opened with [`Access::Read`].
 #[derive(Debug)]
 pub(crate) struct ZeroUnreadable<'a>(pub(crate) &'a dyn Disk);
 
 struct ZeroedFile {
     file: Box<dyn DiskFile>,
-    /// The length when the file was opened, in bytes.
+    /// The length of the file when it was opened, in bytes.
     length: u64,
 }
 
@@ -34,7 +34,7 @@ impl Read for ZeroedFile {
             other => return other,
         }
         let part = (SECTOR - at % SECTOR).min(self.length.saturating_sub(at));
-        // At most a sector.
+        // The part is at most one sector.
         let part = to.len().min(part as usize);
         self.file.seek(SeekFrom::Start(at))?;
         match self.file.read(&mut to[..part]) {

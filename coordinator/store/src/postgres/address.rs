@@ -1,5 +1,4 @@
-//! The address of a database: what is taken from its text, and how it is shown, which is without the
-//! password.
+//! The address of a database: parsing, and display without the password.
 
 use std::fmt;
 use std::net::IpAddr;
@@ -17,36 +16,36 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
 use crate::error::StoreError;
 
-/// How long a connection may take to be made.
+/// Timeout for making a connection.
 const CONNECT: Duration = Duration::from_secs(2);
-/// How long the network may keep silent before a connection counts as lost.
+/// The duration of network silence after which a connection counts as lost.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// Where a database is and how to connect with it. Its text forms hold no password.
+/// The address of a database and its connection settings. The text forms contain no password.
 #[derive(Clone)]
 pub struct DatabaseAddress {
     config: Config,
-    /// `None` where connections are not encrypted.
+    /// The TLS settings; `None` for unencrypted connections.
     tls: Option<MakeRustlsConnect>,
     shown: String,
 }
 
 impl DatabaseAddress {
-    /// Reads `postgres://USER@HOST:PORT/DATABASE`. `password` is used where the text has none; `ca` is a file
-    /// with the authority of the server's certificate, and the system's authorities count without it.
+    /// Parses `postgres://USER@HOST:PORT/DATABASE`.
     ///
-    /// Connections are encrypted and the certificate is checked, except on this machine and where the text
-    /// says `sslmode=disable`.
+    /// `password` is used if the text contains none. `ca` is a PEM file with the certificate authority of the
+    /// server; without the file, the system's authorities are trusted. Connections are encrypted and the
+    /// certificate is checked, except on this machine and with `sslmode=disable`.
     ///
     /// # Errors
-    /// [`StoreError::Address`], without the text.
+    /// [`StoreError::Address`] if the text is invalid. The error does not contain the text.
     pub fn parse(
         text: &str,
         password: Option<&str>,
         ca: Option<&Path>,
     ) -> Result<Self, StoreError> {
         let wrong = |what: String| StoreError::Address { what };
-        // Every encrypted connection is one whose certificate is checked in full.
+        // Every encrypted connection checks the certificate completely.
         let text = text.replace("sslmode=verify-full", "sslmode=require");
         let says_mode = text.contains("sslmode=");
         let mut config: Config = text.parse().map_err(|e: tokio_postgres::Error| {
@@ -77,8 +76,8 @@ impl DatabaseAddress {
             (false, _) => SslMode::Require,
             (true, mode @ (SslMode::Disable | SslMode::Require)) => mode,
             (true, _) => {
-                let text = "it could fall back to plain text unnoticed: say sslmode=require or \
-                            sslmode=disable";
+                let text = "the given sslmode permits unencrypted connections without notice: use \
+                            sslmode=require or sslmode=disable";
                 return Err(wrong(text.to_owned()));
             }
         };
@@ -100,12 +99,12 @@ impl DatabaseAddress {
         Ok(Self { config, tls, shown })
     }
 
-    /// How connections are made.
+    /// Returns the connection settings.
     pub(super) fn config(&self) -> &Config {
         &self.config
     }
 
-    /// How they are encrypted; `None` where they are not.
+    /// Returns the TLS settings, or `None` for unencrypted connections.
     pub(super) fn tls(&self) -> Option<MakeRustlsConnect> {
         self.tls.clone()
     }
@@ -143,7 +142,7 @@ fn shown(config: &Config) -> String {
     )
 }
 
-/// Whether traffic with a host stays on this machine.
+/// Returns true if traffic to a host stays on this machine.
 fn is_here(host: &Host) -> bool {
     match host {
         Host::Tcp(name) => {
@@ -154,7 +153,8 @@ fn is_here(host: &Host) -> bool {
     }
 }
 
-/// A client that trusts the authorities in a file, or else those of the system.
+/// Creates a TLS configuration that trusts the certificate authorities in the file `ca`, or the system's
+/// authorities if `ca` is `None`.
 fn trusting(ca: Option<&Path>) -> Result<ClientConfig, StoreError> {
     let wrong = |what: String| StoreError::Address { what };
     let mut roots = RootCertStore::empty();
@@ -171,7 +171,7 @@ fn trusting(ca: Option<&Path>) -> Result<ClientConfig, StoreError> {
                     .map_err(|e| unusable(e.to_string()))?;
             }
             if roots.is_empty() {
-                return Err(unusable("it holds no certificate".to_owned()));
+                return Err(unusable("the file contains no certificate".to_owned()));
             }
         }
         None => {
@@ -179,8 +179,9 @@ fn trusting(ca: Option<&Path>) -> Result<ClientConfig, StoreError> {
             let (taken, _) = roots.add_parsable_certificates(found.certs);
             if taken == 0 {
                 return Err(wrong(
-                    "the connection with the database is to be encrypted, and the system has no authorities; \
-                     --store-ca names the one of the database's certificate"
+                    "the connection with the database must be encrypted, but the system has no \
+                     authorities; give the authority of the certificate of the database with \
+                     --store-ca"
                         .to_owned(),
                 ));
             }
@@ -197,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_password_is_never_shown() {
+    fn password_is_never_shown() {
         let address =
             DatabaseAddress::parse("postgres://u:secret@127.0.0.1:5433/d", None, None).unwrap();
         for text in [address.to_string(), format!("{address:?}")] {
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_this_machine_connections_are_encrypted_unless_somebody_says_no() {
+    fn remote_connections_are_encrypted_unless_disabled() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let certified = rcgen::generate_simple_self_signed(vec!["db".to_owned()]).unwrap();
         std::fs::write(file.path(), certified.cert.pem()).unwrap();

@@ -1,5 +1,5 @@
-//! Connections that are lost in the moment of a commit: before the server hears of it, and after. Between the
-//! store and the server is a proxy that finds the commits of the writer thread in what it passes on.
+//! Tests with connections that are lost during a commit: before and after the server receives it. A proxy
+//! between the store and the server detects the commits of the writer thread.
 
 use std::collections::VecDeque;
 use std::io::{Read as _, Write as _};
@@ -16,12 +16,12 @@ use crate::Store;
 use crate::api::Queries as _;
 use crate::conformance::result;
 
-/// What becomes of a commit.
+/// The fate of a commit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
-    /// It is passed on, and so is its answer.
+    /// The proxy forwards the commit and its answer.
     Kept,
-    /// The connection is lost before the server hears of it.
+    /// The connection is lost before the server receives the commit.
     Unheard,
     /// The server commits, and the connection is lost before the answer.
     Unanswered,
@@ -30,8 +30,9 @@ enum Fate {
 /// The message with which a client commits.
 const COMMIT: &[u8] = b"Q\0\0\0\x0bCOMMIT\0";
 
-/// A proxy before a port of loopback; gives its own port. The fates are those of the writer's commits, in
-/// order; further ones are kept.
+/// Starts a proxy before a port of the loopback interface, and returns its own port.
+///
+/// `fates` contains the fates of the writer's commits, in order. Further commits are kept.
 fn proxy(port: u16, fates: Arc<Mutex<VecDeque<Fate>>>) -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let own = listener.local_addr().unwrap().port();
@@ -43,7 +44,7 @@ fn proxy(port: u16, fates: Arc<Mutex<VecDeque<Fate>>>) -> u16 {
             };
             let (mut from, mut to) = (server.try_clone().unwrap(), client.try_clone().unwrap());
             std::thread::spawn(move || {
-                // Ends when either side does.
+                // The copy ends when either side closes.
                 let _ = std::io::copy(&mut from, &mut to);
                 let _ = to.shutdown(Shutdown::Both);
             });
@@ -67,10 +68,10 @@ fn pass_on(mut client: TcpStream, mut server: TcpStream, fates: &Mutex<VecDeque<
             Fate::Kept => server.write_all(part).unwrap(),
             Fate::Unheard => break,
             Fate::Unanswered => {
-                // The other direction is ended first, so that no answer gets through.
+                // Close the other direction first, so that the client receives no answer.
                 client.shutdown(Shutdown::Both).unwrap();
                 server.write_all(part).unwrap();
-                // The server answers the goodbye behind the commit by ending the connection.
+                // The server closes the connection after the termination message that follows the commit.
                 server.write_all(b"X\0\0\0\x04").unwrap();
                 break;
             }
@@ -83,7 +84,7 @@ fn pass_on(mut client: TcpStream, mut server: TcpStream, fates: &Mutex<VecDeque<
 }
 
 #[test]
-fn a_commit_whose_connection_is_lost_is_looked_up_and_neither_lost_nor_done_twice() {
+fn commits_with_lost_connection_are_executed_once() {
     let Some(server) = Postgres::start() else {
         return;
     };
@@ -123,7 +124,7 @@ fn a_commit_whose_connection_is_lost_is_looked_up_and_neither_lost_nor_done_twic
             fates.lock().unwrap().is_empty(),
             "{order:?}: the connection was not lost"
         );
-        // Carried out twice it would count twice.
+        // A command that was executed twice would count twice.
         fates.lock().unwrap().extend(order.iter().copied());
         assert_eq!(
             store.begin_epoch().unwrap(),

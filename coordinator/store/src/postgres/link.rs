@@ -1,5 +1,4 @@
-//! Connections with a database: their settings, their prepared statements, what errors mean, and how a lost
-//! connection is made again.
+//! Connections to a database: settings, prepared statements, the meaning of errors, and reconnection.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,23 +15,23 @@ use tokio_postgres_rustls::MakeRustlsConnect;
 use super::address::DatabaseAddress;
 use crate::error::StoreError;
 
-/// What every session is told. A session whose coordinator stands still in the middle of a transaction is
-/// ended by the server, so that nobody waits for its locks.
+/// The settings of every session. The server ends a session that is idle in a transaction, so that its locks
+/// do not block other sessions.
 const SETTINGS: &str = "SET search_path = sightline; SET client_min_messages = warning; \
     SET idle_in_transaction_session_timeout = '2s'; SET statement_timeout = '60s'; SET lock_timeout = '3s'; \
     SET synchronous_commit = on; SET tcp_keepalives_idle = 2; SET tcp_keepalives_interval = 1; \
     SET tcp_keepalives_count = 2; SET tcp_user_timeout = '4s'; SET client_connection_check_interval = '1s'";
-/// The waits between attempts to connect: the first, and the longest; they double in between.
+/// The minimum and the maximum wait between attempts to connect. The wait doubles after each attempt.
 pub(super) const AGAIN: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(1)];
 
-/// A database, and the runtime on which its connections live.
+/// A database, and the runtime of its connections.
 #[derive(Clone)]
 pub(super) struct Server {
     pub(super) address: DatabaseAddress,
     pub(super) runtime: Handle,
 }
 
-/// A connection with the statements on the table of entries.
+/// A connection with the prepared statements on the table of entries.
 pub(super) struct Link {
     pub(super) client: Client,
     pub(super) get: Statement,
@@ -43,7 +42,7 @@ pub(super) struct Link {
 }
 
 impl Server {
-    /// Connects. `notified` hears of every notification.
+    /// Connects to the database. `notified` is signalled on every notification and when the connection ends.
     pub(super) async fn connect(
         &self,
         notified: Option<Arc<Notify>>,
@@ -60,7 +59,7 @@ impl Server {
         Ok(client)
     }
 
-    /// Connects and prepares the statements, from a thread that may block.
+    /// Connects and prepares the statements. Call this on a thread that may block.
     pub(super) fn link(&self) -> Result<Link, StoreError> {
         let server = self.clone();
         let made = self.runtime.spawn(async move {
@@ -89,7 +88,7 @@ impl Server {
         block_on(made).unwrap_or(Err(StoreError::Closed))
     }
 
-    /// Connects again and again, for as long as the database does not answer and `goes_on` says yes.
+    /// Connects repeatedly while the database does not answer and `goes_on` returns true.
     pub(super) fn link_while(&self, goes_on: impl Fn() -> bool) -> Result<Link, StoreError> {
         let [mut wait, longest] = AGAIN;
         loop {
@@ -103,13 +102,13 @@ impl Server {
         }
     }
 
-    /// The same for at most this long.
+    /// Connects repeatedly for at most the duration `patience`.
     pub(super) fn link_within(&self, patience: Duration) -> Result<Link, StoreError> {
         let begun = Instant::now();
         self.link_while(|| begun.elapsed() < patience)
     }
 
-    /// Keeps a connection going on the runtime until it is lost or its client is dropped.
+    /// Runs a connection on the runtime until it is lost or its client is dropped.
     fn drive<T>(
         &self,
         made: Result<(Client, Connection<Socket, T::Stream>), tokio_postgres::Error>,
@@ -130,10 +129,10 @@ impl Server {
                         }
                     }
                     Ok(AsyncMessage::Notice(notice)) => {
-                        tracing::info!("the database says: {notice}")
+                        tracing::info!("notice of the database: {notice}")
                     }
                     Ok(_) => {}
-                    // Whoever uses the client hears of it, too.
+                    // The user of the client gets an error, too.
                     Err(e) => {
                         tracing::debug!("a connection with the database was lost: {}", cause(&e));
                         break;
@@ -147,7 +146,7 @@ impl Server {
         Ok(client)
     }
 
-    /// An error of the client, for the store.
+    /// Converts an error of the database client into an error of the store.
     pub(super) fn meaning(&self, e: &tokio_postgres::Error) -> StoreError {
         let (server, what) = (self.address.to_string(), cause(e));
         let Some(code) = e.code() else {
@@ -159,9 +158,9 @@ impl Server {
         };
         match class(code) {
             "28" | "3D" => StoreError::NotLetIn { server, what },
-            // Lost connections, too little of something, locks held long, servers that start or stop.
+            // Lost connections, exhausted resources, locks held too long, and servers that start or stop.
             "08" | "53" | "55" | "57" => StoreError::Unreachable { server, what },
-            // The session was ended because it stood still.
+            // The server ended the session because it was idle in a transaction.
             "25" if *code == SqlState::IDLE_IN_TRANSACTION_SESSION_TIMEOUT => {
                 StoreError::Unreachable { server, what }
             }
@@ -170,12 +169,12 @@ impl Server {
     }
 }
 
-/// The class of a code of SQL: its first two letters.
+/// Returns the class of an SQL state code: its first two characters.
 fn class(code: &SqlState) -> &str {
     code.code().get(..2).unwrap_or_default()
 }
 
-/// What is behind an error, in words of the server or the system.
+/// Returns the cause of an error, in the words of the server or the system.
 fn cause(e: &tokio_postgres::Error) -> String {
     match (e.as_db_error(), std::error::Error::source(e)) {
         (Some(db), _) => db.message().to_owned(),
@@ -184,15 +183,16 @@ fn cause(e: &tokio_postgres::Error) -> String {
     }
 }
 
-/// Whether a transaction may succeed when it is made again.
+/// Returns true if a repeated transaction may succeed.
 pub(super) fn is_conflict(e: &tokio_postgres::Error) -> bool {
     e.code().is_some_and(|code| {
         *code == SqlState::T_R_SERIALIZATION_FAILURE || *code == SqlState::T_R_DEADLOCK_DETECTED
     })
 }
 
-/// Whether the server has said that it refuses, so that a transaction has certainly ended without effect. A
-/// server that stops while it commits may have committed.
+/// Returns true if the server rejected a transaction, which then certainly had no effect.
+///
+/// A server that stops during a commit may have committed.
 pub(super) fn is_refused(e: &tokio_postgres::Error) -> bool {
     e.code()
         .is_some_and(|code| !matches!(class(code), "08" | "57"))

@@ -1,16 +1,17 @@
 //! The store in a PostgreSQL database, which several coordinators share: one of them leads, the others stand
 //! by.
 //!
-//! The table is the same as in the other stores, with the same keys and values. Queries and commands of the
-//! leader are transactions (`reading.rs`, `writing.rs`); who leads is decided in the database (`leading.rs`).
+//! The table has the same keys and values as the table of the other stores. Queries and commands of the
+//! leader are transactions (`reading.rs`, `writing.rs`). The database decides which coordinator leads
+//! (`election.rs`).
 
 mod address;
 #[cfg(test)]
 mod cut_tests;
-mod leading;
+mod election;
+mod leadership;
 mod link;
 mod reading;
-mod standing;
 mod tables;
 #[cfg(test)]
 mod tests;
@@ -27,11 +28,11 @@ use tokio::runtime::Runtime;
 use tokio::sync::{Notify, watch};
 
 pub use self::address::DatabaseAddress;
-use self::leading::Candidate;
+use self::election::Candidate;
+use self::leadership::SharedRole;
+pub use self::leadership::{Leader, Role};
 use self::link::Server;
 use self::reading::{Readers, in_database};
-use self::standing::Standing;
-pub use self::standing::{Leader, Role};
 use self::writing::Writer;
 use super::api::Report;
 use super::commands::{Pending, pending};
@@ -40,33 +41,35 @@ use super::error::StoreError;
 use super::rules::Decision;
 use super::table::View;
 
-/// A coordinator's place among those on a database.
+/// A coordinator among the coordinators on a database.
 pub struct Replica {
     server: Server,
-    standing: Standing,
+    role: SharedRole,
     resigns: Arc<Notify>,
     candidacy: Mutex<Option<tokio::task::JoinHandle<()>>>,
     runtime: Arc<Connections>,
 }
 
-/// The thread on which connections live.
+/// The runtime of the connections.
 struct Connections(Option<Runtime>);
 
 impl Drop for Connections {
     fn drop(&mut self) {
         if let Some(runtime) = self.0.take() {
-            // May be dropped on a thread of another runtime, which must not wait.
+            // The drop may happen on a thread of another runtime, which must not block.
             runtime.shutdown_background();
         }
     }
 }
 
 impl Replica {
-    /// Connects with the database, brings its tables up to date, and stands by to lead: under the name
-    /// `holder`, called at `address`. Blocks.
+    /// Connects to the database, brings its tables up to date, and stands by to lead. Blocks.
+    ///
+    /// `holder` is the name of the coordinator, and `address` is the address at which it is called.
     ///
     /// # Errors
-    /// The database does not answer, does not let us in, or holds the tables of a newer program.
+    /// An error if the database does not answer, rejects the login, or contains the tables of a newer
+    /// program.
     pub fn join(
         database: &DatabaseAddress,
         holder: &str,
@@ -89,10 +92,10 @@ impl Replica {
         let runtime = Arc::new(Connections(Some(runtime)));
         block_on(handle.spawn(async move { tables::migrate(&tables).await }))
             .unwrap_or(Err(StoreError::Closed))?;
-        let (standing, resigns) = (Standing::new(), Arc::new(Notify::new()));
+        let (role, resigns) = (SharedRole::new(), Arc::new(Notify::new()));
         let candidate = Candidate {
             server: server.clone(),
-            standing: standing.clone(),
+            role: role.clone(),
             holder: holder.to_owned(),
             address: address.to_owned(),
             resigns: Arc::clone(&resigns),
@@ -100,29 +103,29 @@ impl Replica {
         let candidacy = Mutex::new(Some(handle.spawn(candidate.run())));
         Ok(Self {
             server,
-            standing,
+            role,
             resigns,
             candidacy,
             runtime,
         })
     }
 
-    /// What becomes of it.
+    /// Returns a receiver of the coordinator's role.
     pub fn role(&self) -> watch::Receiver<Role> {
-        self.standing.follow()
+        self.role.follow()
     }
 
-    /// The store, for as long as this coordinator leads under `epoch`. Blocks.
+    /// Returns the store, which is usable while this coordinator leads under `epoch`. Blocks.
     ///
     /// # Errors
-    /// The database does not answer, or another coordinator leads.
+    /// An error if the database does not answer, or if another coordinator leads.
     pub fn store(&self, epoch: i64) -> Result<PostgresStore, StoreError> {
         let (commands, incoming) = channel();
         let closing = Arc::new(AtomicBool::new(false));
         let reports = Arc::<OnceLock<Report>>::default();
         let writer = Writer {
             server: self.server.clone(),
-            standing: self.standing.clone(),
+            role: self.role.clone(),
             epoch,
             written: 0,
             link: None,
@@ -134,7 +137,7 @@ impl Replica {
             .spawn(move || writer.run(&incoming))
             .map_err(|e| StoreError::Unreachable {
                 server: self.server.address.to_string(),
-                what: format!("no thread can be started for it: {e}"),
+                what: format!("the system cannot start a thread for the connection: {e}"),
             })?;
         Ok(PostgresStore {
             server: self.server.clone(),
@@ -147,8 +150,9 @@ impl Replica {
         })
     }
 
-    /// Gives up standing by or leading, so that another coordinator leads at once. Changes that are being
-    /// committed are committed or refused. Waits a second at most.
+    /// Stops standing by or leading, so that another coordinator leads at once.
+    ///
+    /// Changes that are being committed are committed or rejected. Waits for at most one second.
     pub async fn resign(&self) {
         self.resigns.notify_one();
         let candidacy = self
@@ -157,7 +161,7 @@ impl Replica {
             .unwrap_or_else(PoisonError::into_inner)
             .take();
         if let Some(candidacy) = candidacy {
-            // One that does not answer in time is over when its time is.
+            // A candidacy that does not answer in time ends when its leadership expires.
             drop(tokio::time::timeout(Duration::from_secs(1), candidacy).await);
         }
     }
@@ -167,13 +171,13 @@ impl Replica {
 pub struct PostgresStore {
     server: Server,
     readers: Readers,
-    /// `None` only while being dropped.
+    /// The queue of the writer thread; `None` only during the drop.
     commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
     closing: Arc<AtomicBool>,
-    /// Whom the writer tells how long its transactions take.
+    /// The callback that receives the durations of transactions.
     reports: Arc<OnceLock<Report>>,
     writer: Option<JoinHandle<()>>,
-    /// Its connections end after the last one who uses them.
+    /// The runtime of the connections, which ends after its last user is dropped.
     _runtime: Arc<Connections>,
 }
 
@@ -189,7 +193,9 @@ impl Drop for PostgresStore {
             .take()
             .is_some_and(|writer| writer.join().is_err())
         {
-            tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
+            tracing::error!(
+                "the store's writer thread had panicked; no acknowledged change is lost"
+            );
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Reading the entries in the database: a table over a transaction, and the connections for queries.
+//! Reading the entries in the database: a table in a transaction, and the connections for queries.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -10,9 +10,9 @@ use super::link::{Link, Server};
 use crate::error::StoreError;
 use crate::table::{Bytes, Table, View};
 
-/// How long a query or a command waits for a database that does not answer.
+/// The time for which a query or a command waits for a database that does not answer.
 pub(super) const PATIENCE: Duration = Duration::from_secs(3);
-/// Connections for queries; further queries wait.
+/// Maximum number of connections for queries. Further queries wait.
 const MOST: usize = 6;
 
 /// The entries as a transaction sees them.
@@ -44,7 +44,8 @@ impl Table for Reading<'_> {
     }
 }
 
-/// The first key behind all that begin with `prefix`; `None` when there is none.
+/// Returns the first key after all keys that begin with `prefix`. Returns `None` if every later key has the
+/// prefix.
 fn behind(prefix: &[u8]) -> Option<Bytes> {
     let last = prefix.iter().rposition(|byte| *byte < 0xff)?;
     let mut end = prefix[..=last].to_vec();
@@ -52,7 +53,7 @@ fn behind(prefix: &[u8]) -> Option<Bytes> {
     Some(end)
 }
 
-/// The same error, where it is about entries that cannot be read.
+/// Converts an error about unreadable entries into [`StoreError::Damaged`]. Other errors stay unchanged.
 pub(super) fn in_database(server: &Server, e: StoreError) -> StoreError {
     match e {
         StoreError::View { what } => StoreError::Damaged {
@@ -93,14 +94,14 @@ impl Readers {
         let mut turn = self.turn();
         let link = self.begin(turn.link.take())?;
         let answer = ask(View(&Reading(&self.server, &link)));
-        // A connection that is lost now, or whose transaction failed, is not used again.
+        // A connection that was lost, or whose transaction failed, is not used again.
         if block_on(link.client.batch_execute("COMMIT")).is_ok() {
             turn.link = Some(link);
         }
         answer.map_err(|e| in_database(&self.server, e))
     }
 
-    /// A connection in a transaction that reads.
+    /// Returns a connection in a read-only transaction.
     fn begin(&self, mut kept: Option<Link>) -> Result<Link, StoreError> {
         let begun = Instant::now();
         loop {
@@ -117,7 +118,7 @@ impl Readers {
         }
     }
 
-    fn turn(&self) -> Turn<'_> {
+    fn turn(&self) -> ConnectionPermit<'_> {
         let mut links = self.links();
         while links.lent >= MOST {
             links = self
@@ -126,8 +127,8 @@ impl Readers {
                 .unwrap_or_else(PoisonError::into_inner);
         }
         links.lent += 1;
-        Turn {
-            of: self,
+        ConnectionPermit {
+            readers: self,
             link: links.idle.pop(),
         }
     }
@@ -137,18 +138,18 @@ impl Readers {
     }
 }
 
-/// The right to use one of the connections, which goes back at the end.
-struct Turn<'a> {
-    of: &'a Readers,
+/// The right to use one of the connections. Its drop returns the connection.
+struct ConnectionPermit<'a> {
+    readers: &'a Readers,
     link: Option<Link>,
 }
 
-impl Drop for Turn<'_> {
+impl Drop for ConnectionPermit<'_> {
     fn drop(&mut self) {
-        let mut links = self.of.links();
+        let mut links = self.readers.links();
         links.lent -= 1;
         links.idle.extend(self.link.take());
-        self.of.freed.notify_one();
+        self.readers.freed.notify_one();
     }
 }
 
@@ -157,7 +158,7 @@ mod tests {
     use super::behind;
 
     #[test]
-    fn keys_end_behind_their_prefix() {
+    fn prefix_end_follows_all_keys() {
         assert_eq!(behind(b"t\x00\xff"), Some(b"t\x01".to_vec()));
         assert_eq!(behind(b"s"), Some(b"t".to_vec()));
         assert_eq!(behind(b"\xff\xff"), None);

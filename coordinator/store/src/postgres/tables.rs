@@ -1,17 +1,17 @@
-//! The tables in the database, and how older ones are brought up to date.
+//! The tables in the database, and their migration from earlier versions.
 //!
-//! They lie in a schema of their own. `entries` is the ordered table of bytes that every store keeps.
-//! `leader` is one row that says who leads and until when. `fence` has a row for each leadership: writers
-//! lock theirs, so that a take-over, which closes it, waits for their transactions and is seen by later ones;
-//! `written` is the number of the last transaction that was committed under it. `migrations` says which steps
-//! were taken.
+//! The tables lie in a separate schema. `entries` is the ordered table of bytes that every store has.
+//! `leader` has one row with the leader and the end of its leadership. `fence` has a row for each leadership.
+//! Writers lock the row of their leadership, so a take-over, which closes that row, waits for their
+//! transactions. Later transactions see that the row is closed. The column `written` is the number of the
+//! last transaction that was committed under the leadership. `migrations` lists the completed steps.
 
 use tokio_postgres::IsolationLevel;
 
 use super::link::Server;
 use crate::error::StoreError;
 
-/// The steps from an empty schema to the tables of today. Steps are only ever added.
+/// The migration steps from an empty schema to the current tables. New steps are only appended.
 const STEPS: [&str; 1] = ["
     CREATE TABLE entries (key bytea PRIMARY KEY, value bytea NOT NULL);
     CREATE TABLE leader (
@@ -21,18 +21,18 @@ const STEPS: [&str; 1] = ["
     INSERT INTO leader VALUES (true, '', '', 0, '-infinity');
     CREATE TABLE fence (epoch bigint PRIMARY KEY, written bigint NOT NULL, closed boolean NOT NULL);
 "];
-/// Held while the tables are changed.
+/// The key of the advisory lock that is held while the tables are changed.
 const LOCK: i64 = 0x5349_4748_544c_494e;
 
-/// Makes the tables, or brings them up to date.
+/// Creates the tables, or migrates them to the current version.
 ///
 /// # Errors
-/// [`StoreError::NewerTables`] when a newer program made them.
+/// [`StoreError::NewerTables`] if a newer program created the tables.
 pub(super) async fn migrate(server: &Server) -> Result<(), StoreError> {
     let meaning = |e: tokio_postgres::Error| server.meaning(&e);
     let mut client = server.connect(None).await?;
     let known = STEPS.len() as i32;
-    // Most starts change nothing, and then the user needs no right to create anything.
+    // Most starts change no tables, and then the user needs no permission to create any.
     let is_there = "SELECT to_regclass('sightline.migrations') IS NOT NULL";
     if client
         .query_one_scalar::<bool, _>(is_there, &[])

@@ -1,13 +1,14 @@
-//! The writer thread: the only place of a coordinator that changes the entries.
+//! The writer thread: the only thread of a coordinator that changes the entries.
 //!
-//! The commands in flight share a transaction. It begins by claiming the row of this leadership in the table
-//! `fence`, with the transaction's number. Where another coordinator has taken over, that row is closed, the
-//! claim fails, and nothing is changed; a take-over in between waits for the claim's lock. So the entries
-//! change under one leadership at a time, and by one thread: what a transaction has read stays true until it
-//! commits, and one that did not commit can be written again as it was decided.
+//! Concurrent commands share a transaction. The transaction begins by writing its number into the row of this
+//! leadership in the table `fence` (the claim). If another coordinator has taken over, that row is closed,
+//! the claim fails, and the transaction has no effect. A take-over in between waits for the claim's lock. So
+//! the entries change under one leadership at a time, and by one thread. The values that a transaction has
+//! read stay valid until it commits, and a transaction that did not commit can be repeated with the same
+//! decisions.
 //!
-//! When the connection is lost while a transaction commits, the row says whether it has: it holds the number
-//! of the last one that did.
+//! If the connection is lost while a transaction commits, the row shows whether the commit succeeded: it
+//! contains the number of the last committed transaction.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -17,34 +18,35 @@ use std::time::Instant;
 use futures::executor::block_on;
 use tokio_postgres::{SimpleQueryMessage, Statement};
 
+use super::leadership::SharedRole;
 use super::link::{AGAIN, Link, Server, is_conflict, is_refused};
 use super::reading::{PATIENCE, Reading, in_database};
-use super::standing::Standing;
 use crate::api::Report;
 use crate::commands::Pending;
 use crate::error::StoreError;
 use crate::rules;
-use crate::table::{Bytes, Changes, Over, View};
+use crate::table::{Bytes, ChangedTable, Changes, View};
 
-/// A transaction takes no more commands once it changes this many entries, each of at most 4 KiB.
+/// The number of changed entries after which a transaction accepts no more commands. An entry has at most 4
+/// KiB.
 const GROUP_KEYS: usize = 2048;
 
-/// What the writer thread works with.
+/// The state of the writer thread.
 pub(super) struct Writer {
     pub(super) server: Server,
-    pub(super) standing: Standing,
+    pub(super) role: SharedRole,
     pub(super) epoch: i64,
-    /// The number of the last transaction under this leadership.
+    /// The number of the last committed transaction of this leadership.
     pub(super) written: i64,
     pub(super) link: Option<Link>,
-    /// The store is being closed.
+    /// True while the store is being closed.
     pub(super) closing: Arc<AtomicBool>,
-    /// Whom it tells how long its transactions take.
+    /// The callback that receives the durations of transactions.
     pub(super) reports: Arc<OnceLock<Report>>,
 }
 
 impl Writer {
-    /// Carries out commands until nobody can send any more.
+    /// Executes commands until all senders are dropped.
     pub(super) fn run(mut self, incoming: &Receiver<Box<dyn Pending>>) {
         while let Ok(first) = incoming.recv() {
             let mut group = vec![first];
@@ -59,7 +61,7 @@ impl Writer {
         }
     }
 
-    /// Carries out the command in `group`, and those that arrive meanwhile, as one transaction.
+    /// Executes the command in `group`, and commands that arrive in the meantime, as one transaction.
     fn carry_out(
         &mut self,
         group: &mut Vec<Box<dyn Pending>>,
@@ -84,7 +86,7 @@ impl Writer {
         self.commit(link, &staged)
     }
 
-    /// One command's changes, added to `staged`.
+    /// Adds the changes of one command to `staged`.
     fn stage(
         &self,
         link: &Link,
@@ -92,7 +94,7 @@ impl Writer {
         staged: &mut Changes,
     ) -> Result<(), StoreError> {
         let table = Reading(&self.server, link);
-        let changed = match command.decide(View(&Over {
+        let changed = match command.decide(View(&ChangedTable {
             under: &table,
             changes: staged,
         })) {
@@ -102,7 +104,8 @@ impl Writer {
         changed.map_err(|e| in_database(&self.server, e))
     }
 
-    /// Begins a transaction under this leadership. Nothing is decided yet, so it may be tried again.
+    /// Begins a transaction under this leadership, and retries for a while: the transaction contains no
+    /// decisions yet.
     fn begin(&mut self) -> Result<Link, StoreError> {
         let begun = Instant::now();
         let claim = format!(
@@ -112,14 +115,14 @@ impl Writer {
             self.epoch
         );
         loop {
-            if !self.standing.leads(self.epoch) {
+            if !self.role.leads(self.epoch) {
                 return Err(StoreError::Fenced { epoch: self.epoch });
             }
             let link = match self.link.take().filter(|link| !link.client.is_closed()) {
                 Some(link) => link,
                 None => self.server.link_while(|| {
                     begun.elapsed() < PATIENCE
-                        && self.standing.leads(self.epoch)
+                        && self.role.leads(self.epoch)
                         && !self.closing.load(Ordering::Relaxed)
                 })?,
             };
@@ -127,9 +130,9 @@ impl Writer {
                 Ok(answers) if claimed(&answers) => return Ok(link),
                 Ok(_) => {
                     self.end(link);
-                    self.standing.deposed(self.epoch);
+                    self.role.deposed(self.epoch);
                 }
-                // Somebody takes over; the next look tells.
+                // Another coordinator is taking over; the next check of the role detects it.
                 Err(e) if is_conflict(&e) && begun.elapsed() < PATIENCE => self.end(link),
                 Err(e) if is_refused(&e) => {
                     self.end(link);
@@ -141,7 +144,7 @@ impl Writer {
         }
     }
 
-    /// Writes the changes and commits; `link` is in a transaction.
+    /// Writes the changes and commits. `link` is in a transaction.
     fn commit(&mut self, mut link: Link, changes: &Changes) -> Result<(), StoreError> {
         let (mut keys, mut values, mut removed) = (Vec::new(), Vec::new(), Vec::new());
         for (key, value) in changes {
@@ -157,7 +160,7 @@ impl Writer {
             let written = block_on(write(&link, &keys, &values, &removed));
             let committed = match written {
                 Ok(()) => block_on(link.client.batch_execute("COMMIT")),
-                // Nothing was told to commit.
+                // The commit was not sent.
                 Err(e) if is_conflict(&e) => Err(e),
                 Err(e) => {
                     self.end(link);
@@ -191,8 +194,9 @@ impl Writer {
         }
     }
 
-    /// Whether the transaction after the last one that is known has been committed. Asks until there is an
-    /// answer; the lock makes it wait for a transaction that has not ended.
+    /// Returns true if the transaction after the last known one was committed.
+    ///
+    /// Repeats the query until the database answers. The row lock waits for a transaction that has not ended.
     fn was_committed(&self) -> Result<bool, StoreError> {
         let ask = format!(
             "SELECT written FROM fence WHERE epoch = {} FOR UPDATE",
@@ -208,7 +212,7 @@ impl Writer {
                     return Ok(written > self.written);
                 }
                 Ok(None) => {
-                    let what = format!("nothing is known of epoch {} there", self.epoch);
+                    let what = format!("the table fence has no row for epoch {}", self.epoch);
                     return Err(StoreError::Damaged {
                         server: self.server.address.to_string(),
                         what,
@@ -217,7 +221,7 @@ impl Writer {
                 Err(_) if self.closing.load(Ordering::Relaxed) => return Err(StoreError::Closed),
                 Err(e) => {
                     tracing::warn!(
-                        "the outcome of a commit is asked for again: {}",
+                        "the outcome of a commit is queried again: {}",
                         self.server.meaning(&e)
                     );
                     std::thread::sleep(AGAIN[0]);
@@ -226,7 +230,7 @@ impl Writer {
         }
     }
 
-    /// Ends a transaction without effect and keeps its connection, if that can be done.
+    /// Rolls back a transaction, and keeps its connection if the rollback succeeds.
     fn end(&mut self, link: Link) {
         if block_on(link.client.batch_execute("ROLLBACK")).is_ok() {
             self.link = Some(link);
@@ -234,7 +238,7 @@ impl Writer {
     }
 }
 
-/// Whether the claim has changed a row.
+/// Returns true if the claim changed a row.
 fn claimed(answers: &[SimpleQueryMessage]) -> bool {
     matches!(answers.last(), Some(SimpleQueryMessage::CommandComplete(1)))
 }
@@ -253,6 +257,6 @@ async fn write(
         [] => Ok(0),
         _ => link.client.execute(statement, &[&removed]).await,
     };
-    // Both are sent before the first is answered.
+    // Both statements are sent before the first is answered.
     futures::try_join!(put(&link.put), remove(&link.remove)).map(|_| ())
 }

@@ -1,4 +1,4 @@
-//! A watcher that sees nothing.
+//! A watcher that ignores progress.
 
 use sightline_bake::Watcher;
 

@@ -1,4 +1,4 @@
-//! Boxes: their faces as polygons and planes, and whether a triangle meets one.
+//! Boxes: their faces as polygons and planes, and a test of triangles against a box.
 
 use std::cmp::Ordering;
 
@@ -10,7 +10,7 @@ use super::Corners;
 use super::geometry::{Plane, Point, cut, exact, has_area, height, point, sign};
 use crate::certificate::faces;
 
-/// The plane of a face of a box, with its normal pointing out of the box.
+/// Returns the plane of a face of a box, with its normal pointing out of the box.
 pub(super) fn face_plane(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Plane {
     let [x, y, z, w] = point([f64::from(if up { max[axis] } else { min[axis] }), 0.0, 0.0]);
     debug_assert!(y.is_zero() && z.is_zero());
@@ -19,7 +19,8 @@ pub(super) fn face_plane(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Plan
     if up { out } else { out.map(|c| -c) }
 }
 
-/// The corners of a face of a box: from its least corner, first along the next axis (x, y, z, x).
+/// Returns the corners of a face of a box in order. The first corner is the lowest corner of the face. The
+/// second corner follows along the axis after `axis` in the cyclic order x, y, z.
 pub(super) fn face(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Corners {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     [[false, false], [true, false], [true, true], [false, true]]
@@ -41,8 +42,8 @@ pub(super) fn face(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Corners {
         .collect()
 }
 
-/// Whether a triangle with area has a point in a box, borders included: it is clipped to one face after
-/// another.
+/// Returns true if a triangle with area has a point in a box, including the border. The function clips the
+/// triangle to one face after another.
 pub(super) fn meets_box(t: &[Vec3; 3], cell: Aabb) -> bool {
     if !has_area(t) {
         return false;

@@ -1,22 +1,23 @@
-//! Whether the certificate of a view cell shows what the cell's set claims.
+//! The check that the certificate of a view cell proves the claims of the cell's set.
 //!
-//! These claims are made and checked:
+//! A cell makes the following claims, which the checker verifies:
 //!
 //! 1. *Every triangle is accounted for.* Each triangle with area is in the set with a reason, in the set and
 //!    undecided, or hidden. The reason for a visible triangle is that it meets the cell, or a witness. A
-//!    hidden triangle is in exactly one group, of the cell or of a cell group's box that contains the cell.
-//! 2. *Seen.* A witness starts in the cell and ends inside the triangle. No other triangle has a point on it,
-//!    except triangles in the plane of this one. If it starts on a face of the cell and leaves the cell
-//!    there, a triangle in that face's plane may touch its start.
-//! 3. *Hidden.* A group's triangles lie in its box or polygon (or are its one triangle), and neither the box
+//!    hidden triangle is in exactly one group, either of the cell or of a cell group's box that contains the
+//!    cell.
+//! 2. *Seen.* A witness starts in the cell and ends inside the triangle. No other triangle has a point on the
+//!    witness, except triangles in the plane of the shown triangle. If the witness starts on a face of the
+//!    cell and leaves the cell there, a triangle in that face's plane may touch the start of the witness.
+//! 3. *Hidden.* A group's triangles lie in its box or polygon (or are its only triangle), and neither the box
 //!    nor the triangles touch the cell. A segment from the cell to the box leaves the cell through a face of
 //!    the cell and enters the box through a face of the box. For every pair of such faces there is a proof
 //!    ([`super::check_hidden`]) about the part of the box's face that is outside the cell's face. Faces
 //!    without area pass no open set of lines. A triangle hidden by its closed surface needs no proof;
-//!    `surfaces.rs` has that argument.
+//!    `surfaces.rs` contains the argument.
 //!
-//! A triangle that is hidden from a box is hidden from every cell in it. The groups of a cell group are
-//! checked like those of a cell, with the box in place of the cell.
+//! A triangle that is hidden from a box is hidden from every cell in the box. The checker tests the groups of
+//! a cell group like the groups of a cell, with the box in place of the cell.
 
 use std::sync::OnceLock;
 
@@ -33,13 +34,13 @@ use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target}
 /// The claims of a result about one cell.
 #[derive(Clone, Copy, Debug)]
 pub struct CellClaims<'a> {
-    /// Least and greatest corner of the cell, in scene coordinates.
+    /// The lowest and the highest corner of the cell, in scene coordinates.
     pub cell: Aabb,
-    /// The visibility set with the undecided triangles, ascending.
+    /// The visibility set including the undecided triangles, ascending.
     pub visible: &'a [u32],
     /// The undecided triangles of the set, ascending.
     pub undecided: &'a [u32],
-    /// The reasons.
+    /// The certificate with the reasons for the set.
     pub certificate: &'a CellCertificate,
     /// The certificate of the box around the cell that [`CellCertificate::above`] refers to.
     pub above: Option<&'a GroupCertificate>,
@@ -48,7 +49,7 @@ pub struct CellClaims<'a> {
 /// One claim about a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
-    /// This triangle meets the cell.
+    /// The triangle with this id meets the cell.
     Meets(u32),
     /// The witness at this index of [`CellCertificate::seen`] holds.
     Seen(usize),
@@ -63,7 +64,7 @@ pub enum Claim {
     Apart(usize),
 }
 
-/// Why the claims about a cell are refused.
+/// The reason why the checker rejects the claims about a cell.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CellRefusal {
     /// The cell is not a box with a volume.
@@ -76,9 +77,7 @@ pub enum CellRefusal {
     #[error("triangle {0} is in the set, but it does not meet the cell and has no witness")]
     NoWitness(u32),
     /// The cell relies on the certificate of a box that does not contain it, or that is missing.
-    #[error(
-        "the cell relies on certificates of a box that does not contain it, or that are missing"
-    )]
+    #[error("the certificate of the cell's group is missing, or its box does not contain the cell")]
     Above,
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
@@ -88,15 +87,15 @@ pub enum CellRefusal {
     Hidden {
         /// The triangles of the group.
         triangles: Vec<u32>,
-        /// Why not.
+        /// The reason why the group is not shown to be hidden.
         reason: String,
     },
     /// A box is not shown to be hidden.
-    #[error("the certificate for the box {} to {}: {reason}", bounds.min, bounds.max)]
+    #[error("the certificate for the hidden box {} to {}: {reason}", bounds.min, bounds.max)]
     Apart {
-        /// The box.
+        /// The bounds of the box.
         bounds: Aabb,
-        /// Why not.
+        /// The reason why the box is not shown to be hidden.
         reason: String,
     },
     /// The caller of [`check_cell_until`] cancelled the check.
@@ -105,7 +104,7 @@ pub enum CellRefusal {
 }
 
 impl CellRefusal {
-    /// The triangles that the refused claim is about; empty if it is about the whole cell.
+    /// Returns the triangles that the rejected claim is about, or no triangles if it is about the whole cell.
     pub fn triangles(&self) -> Vec<u32> {
         match self {
             Self::Account(id, _) | Self::NoWitness(id) | Self::Witness(id, _) => vec![*id],
@@ -118,17 +117,17 @@ impl CellRefusal {
 fn group(triangles: &[u32]) -> String {
     match triangles {
         [one] => format!("triangle {one}"),
-        [first, _] => format!("triangle {first} and another"),
+        [first, _] => format!("triangle {first} and 1 other"),
         [first, ..] => format!("triangle {first} and {} others", triangles.len() - 1),
-        [] => "no triangle".to_owned(),
+        [] => "an empty group".to_owned(),
     }
 }
 
-/// Checks that every triangle is accounted for, then each claim for which `pick` is true. Returns the number
-/// of claims checked. `pick` is called once for every claim.
+/// Checks that every triangle is accounted for, and then each claim for which `pick` returns true. Returns
+/// the number of checked claims. Calls `pick` once for every claim.
 ///
 /// # Errors
-/// [`CellRefusal`]: the first claim that does not hold, in the order of the claims.
+/// [`CellRefusal`] for the first claim, in the order of the claims, that does not hold.
 pub fn check_cell(
     scene: &Triangles<'_>,
     claims: &CellClaims<'_>,
@@ -137,10 +136,10 @@ pub fn check_cell(
     check_cell_until(scene, claims, pick, &|| false)
 }
 
-/// As [`check_cell`], but stops with [`CellRefusal::Cancelled`] soon after `cancelled` turns true.
+/// Checks claims like [`check_cell`], but stops soon after `cancelled` returns true.
 ///
 /// # Errors
-/// [`CellRefusal`], as [`check_cell`].
+/// The errors of [`check_cell`], and [`CellRefusal::Cancelled`] if `cancelled` returned true.
 pub fn check_cell_until(
     scene: &Triangles<'_>,
     claims: &CellClaims<'_>,
@@ -153,7 +152,7 @@ pub fn check_cell_until(
     }
     let mut picked = account(scene, claims)?;
     picked.retain(|claim| pick(*claim));
-    // Finding the surfaces of a scene takes time. Only groups that refer to surfaces need them.
+    // Computing the surfaces of a scene costs time. Only groups that refer to surfaces need them.
     let by_surface = |h: &HiddenGroup| matches!(h.target, Target::Surfaces | Target::Half);
     let surfaces = if claims.certificate.hidden.iter().any(by_surface) {
         scene.surfaces().len()
@@ -168,7 +167,8 @@ pub fn check_cell_until(
             check(scene, claims, &parity, *claim).err()
         }
     };
-    // The first refusal is deterministic. One claim a task: one box can take as long as a thousand triangles.
+    // The first rejected claim is deterministic. Each task checks one claim, because one box can cost as much
+    // time as a thousand triangles.
     let refusal = picked.par_iter().with_max_len(1).find_map_first(refuse);
     refusal.map_or(Ok(picked.len() as u64), Err)
 }
@@ -206,10 +206,10 @@ fn check(
     Ok(())
 }
 
-/// Accepts that the box at an index of [`CellCertificate::apart`] is hidden from the cell.
+/// Checks the claim that the box at an index of [`CellCertificate::apart`] is hidden from the cell.
 ///
 /// # Errors
-/// [`CellRefusal::Apart`], or [`CellRefusal::Cell`] when the cell has no volume.
+/// [`CellRefusal::Apart`] if the claim is not proved. [`CellRefusal::Cell`] if the cell has no volume.
 pub fn check_box_claim(
     scene: &Triangles<'_>,
     claims: &CellClaims<'_>,
@@ -226,7 +226,7 @@ pub fn check_box_claim(
     })
 }
 
-/// Accepts that a group of triangles is hidden from the box of a cell group.
+/// Checks the claim that a group of triangles is hidden from the box of a cell group.
 fn check_shared(
     scene: &Triangles<'_>,
     shared: Option<&GroupCertificate>,
@@ -237,9 +237,12 @@ fn check_shared(
     };
     let Aabb { min, max } = shared.bounds;
     let checked = if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
-        Err("the box of its cell group has no volume".to_owned())
+        Err("the box of the cell group has no volume".to_owned())
     } else if matches!(group.target, Target::Surfaces | Target::Half) {
-        Err("surfaces cannot hide it from a cell group".to_owned())
+        Err(
+            "closed surfaces are not allowed as a reason in the certificate of a cell group"
+                .to_owned(),
+        )
     } else {
         check_group(scene, shared.bounds, &[], group)
     };
@@ -249,48 +252,59 @@ fn check_shared(
     })
 }
 
-/// All claims, provided that every triangle with area has exactly one.
+/// Checks that every triangle with area has exactly one claim, and returns all claims.
 fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>, CellRefusal> {
     let refuse = |id: u32, what| Err(CellRefusal::Account(id, what));
     let n = scene.all().len();
     for set in [claims.visible, claims.undecided] {
         if let Some(w) = set.windows(2).find(|w| w[0] >= w[1]) {
-            return refuse(w[1], "the set is not ascending");
+            return refuse(
+                w[1],
+                "the triangle ids of the set are not in ascending order",
+            );
         }
         if let Some(id) = set.last().filter(|id| **id as usize >= n) {
-            return refuse(*id, "it is not in the scene");
+            return refuse(*id, "the scene does not contain this triangle");
         }
     }
-    /// What the claims so far say about a triangle.
+    /// The claim that the certificate has made so far about one triangle.
     #[derive(Clone, Copy, PartialEq)]
-    enum Known {
+    enum ClaimState {
+        /// No claim.
         Nothing,
+        /// The set contains the triangle, and no witness for the triangle was read.
         Visible,
+        /// The set contains the triangle as undecided, so no reason is needed.
         Undecided,
+        /// One witness or one hidden group is the reason of the claim. The checker rejects a second reason.
         Accounted,
     }
     if let Some(id) = claims.visible.iter().find(|id| !scene.shows(**id)) {
-        return refuse(*id, "it is in the set, but its kind is not shown");
+        return refuse(
+            *id,
+            "the set contains the triangle, but its kind is never visible",
+        );
     }
-    let mut known = vec![Known::Nothing; n];
+    let mut known = vec![ClaimState::Nothing; n];
     claims
         .visible
         .iter()
-        .for_each(|id| known[*id as usize] = Known::Visible);
+        .for_each(|id| known[*id as usize] = ClaimState::Visible);
     for id in claims.undecided {
-        if known[*id as usize] != Known::Visible {
-            return refuse(*id, "it is undecided but not in the set");
+        if known[*id as usize] != ClaimState::Visible {
+            return refuse(*id, "the triangle is undecided but not in the set");
         }
-        known[*id as usize] = Known::Undecided;
+        known[*id as usize] = ClaimState::Undecided;
     }
     let mut all = Vec::new();
     for (at, (id, _)) in claims.certificate.seen.iter().enumerate() {
         match known.get_mut(*id as usize) {
-            Some(k @ Known::Visible) => *k = Known::Accounted,
+            Some(k @ ClaimState::Visible) => *k = ClaimState::Accounted,
             _ => {
                 return refuse(
                     *id,
-                    "it has a witness but is not in the set, or is undecided, or has two witnesses",
+                    "the triangle has a witness but is not in the set, or is undecided, or has two \
+                     witnesses",
                 );
             }
         }
@@ -299,11 +313,11 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
     for (at, group) in claims.certificate.hidden.iter().enumerate() {
         for id in &group.triangles {
             match known.get_mut(*id as usize) {
-                Some(k @ Known::Nothing) => *k = Known::Accounted,
+                Some(k @ ClaimState::Nothing) => *k = ClaimState::Accounted,
                 _ => {
                     return refuse(
                         *id,
-                        "it is in a hidden group and also in the set or in another group",
+                        "the triangle is in a hidden group and also in the set or in another group",
                     );
                 }
             }
@@ -321,11 +335,12 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         for (at, group) in shared.hidden.iter().enumerate() {
             for id in &group.triangles {
                 match known.get_mut(*id as usize) {
-                    Some(k @ Known::Nothing) => *k = Known::Accounted,
+                    Some(k @ ClaimState::Nothing) => *k = ClaimState::Accounted,
                     _ => {
                         return refuse(
                             *id,
-                            "it is hidden from the cell group and also in the set or in another group",
+                            "the triangle is hidden from the cell group and also in the set or in another \
+                             group",
                         );
                     }
                 }
@@ -344,11 +359,11 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
     );
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
-            Known::Visible => all.push(Claim::Meets(id as u32)),
-            Known::Nothing if has_area(t) && scene.shows(id as u32) => {
+            ClaimState::Visible => all.push(Claim::Meets(id as u32)),
+            ClaimState::Nothing if has_area(t) && scene.shows(id as u32) => {
                 return refuse(
                     id as u32,
-                    "it is not in the set, and no proof shows that it is hidden",
+                    "the triangle is not in the set, and no proof shows that it is hidden",
                 );
             }
             _ => {}

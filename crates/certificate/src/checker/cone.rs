@@ -8,15 +8,15 @@ use dashu_int::IBig;
 use super::geometry::{Line, klein, reduced, sign};
 use super::vector::Vector;
 
-/// A pointed cone of full dimension, by its extreme rays.
+/// A pointed cone of full dimension, given by its extreme rays.
 #[derive(Clone)]
 pub struct Cone {
     rays: Vec<Ray>,
-    /// The number of half-spaces seen so far, which number the bits of [`Ray::tight`].
+    /// The number of half-spaces so far. The bits of [`Ray::tight`] are indexed by half-space.
     halves: usize,
 }
 
-/// An extreme ray, and the half-spaces whose border it lies on, as a set of bits.
+/// An extreme ray, and the half-spaces whose border contains it, as a set of bits.
 #[derive(Clone)]
 struct Ray {
     vector: Vector,
@@ -34,7 +34,7 @@ fn insert(set: &mut Vec<u64>, bit: usize) {
     set[bit / 64] |= 1 << (bit % 64);
 }
 
-/// Whether every bit that is in both `a` and `b` is in `whole`.
+/// Returns true if every bit that is in both `a` and `b` is in `whole`.
 fn holds(whole: &[u64], a: &[u64], b: &[u64]) -> bool {
     a.iter()
         .zip(b)
@@ -47,11 +47,11 @@ fn dot(a: &Line, b: &Line) -> IBig {
 }
 
 impl Cone {
-    /// The cone of the given vectors, none of them 0. `None` unless they span all six dimensions and are
-    /// strictly on one side of some hyperplane.
-    pub fn of(vectors: Vec<Line>) -> Option<Self> {
-        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent
-        // vectors.
+    /// Creates the cone of the given vectors, which must not be 0. Returns `None` unless the vectors span all
+    /// six dimensions and are strictly on one side of some hyperplane.
+    pub fn new(vectors: Vec<Line>) -> Option<Self> {
+        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. Its construction starts with six
+        // independent vectors.
         let vectors: Vec<Line> = vectors.into_iter().map(reduced).collect();
         let basis = independent(&vectors)?;
         let rows: [&Line; 6] = std::array::from_fn(|k| &vectors[basis[k]]);
@@ -80,11 +80,11 @@ impl Cone {
             .enumerate()
             .filter(|(n, _)| !basis.contains(n))
         {
-            // f·v is the Klein form of f and v with the halves of v exchanged.
+            // f·v is the Klein form of f and of v with the first and the last three components exchanged.
             let turned = Vector::new(std::array::from_fn(|i| v[(i + 3) % 6].clone()));
             dual = dual.cut(&turned, number).0?;
         }
-        // Facets are the dual's rays; a vector is on those facets whose functional vanishes on it.
+        // Facets are the dual's rays. A vector is on the facets whose functional is 0 on it.
         let facets = dual.rays.len();
         let on = |number: usize| {
             let mut set = Vec::new();
@@ -96,8 +96,8 @@ impl Cone {
             set
         };
         let sets: Vec<Vec<u64>> = (0..vectors.len()).map(on).collect();
-        // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors the first
-        // is kept.
+        // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors, keep the
+        // first.
         let among = |i: usize, j: usize| holds(&sets[j], &sets[i], &sets[i]);
         let extreme =
             |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
@@ -114,8 +114,8 @@ impl Cone {
         })
     }
 
-    /// The parts on the positive and on the negative side of a vector's polar hyperplane; `None` for a part
-    /// without interior.
+    /// Returns the parts on the positive and on the negative side of a vector's polar hyperplane. A part
+    /// without interior is `None`.
     pub fn split(self, line: &Vector) -> (Option<Self>, Option<Self>) {
         let number = self.halves;
         let (positive, negative) = self.cut(line, number);
@@ -128,11 +128,11 @@ impl Cone {
         (with(positive), with(negative))
     }
 
-    /// Both sides of a line's hyperplane, as half-space `number`.
+    /// Returns the parts on both sides of a line's hyperplane, which becomes half-space `number`.
     fn cut(self, line: &Vector, number: usize) -> (Option<Self>, Option<Self>) {
         let sides: Vec<Ordering> = self.rays.iter().map(|r| r.vector.side(line)).collect();
         if !sides.contains(&Ordering::Less) {
-            // All rays are inside. Those on the hyperplane become tight there.
+            // All rays are inside. The rays on the hyperplane become tight there.
             let mut all = self;
             all.rays
                 .iter_mut()
@@ -168,7 +168,8 @@ impl Cone {
         (cone(inside), cone(outside))
     }
 
-    /// The crossings of a polar hyperplane and the edges between rays on different sides of it.
+    /// Computes the rays in which a polar hyperplane crosses the edges between rays on different sides of the
+    /// hyperplane.
     fn crossed(&self, line: &Vector, sides: &[Ordering], number: usize) -> Vec<Ray> {
         let rays_on = |which: Ordering| {
             (0..sides.len())
@@ -183,8 +184,8 @@ impl Cone {
         for p in above {
             for n in &below {
                 let (s, t) = (&self.rays[p].tight, &self.rays[*n].tight);
-                // Two rays span an edge if they are tight at four or more half-spaces, and no third ray is
-                // tight at all of these.
+                // An edge connects two rays if they are tight at four or more common half-spaces, and no
+                // third ray is tight at all of these.
                 if s.iter()
                     .zip(t)
                     .map(|(a, b)| (a & b).count_ones())
@@ -196,7 +197,7 @@ impl Cone {
                     continue;
                 }
                 let (u, v) = (self.rays[p].vector.line(), self.rays[*n].vector.line());
-                // |value(v)|·u + |value(u)|·v.
+                // The ray is |value(v)|·u + |value(u)|·v.
                 let (x, y) = (value(p), value(*n));
                 let ray = reduced(std::array::from_fn(|i| &v[i] * x - &u[i] * y));
                 let mut tight = s.iter().zip(t).map(|(a, b)| a & b).collect();
@@ -210,14 +211,14 @@ impl Cone {
         out
     }
 
-    /// Whether no ray is on the other side of a polar hyperplane than `side`.
+    /// Returns true if all rays are on the side `side` of a polar hyperplane, or on the hyperplane.
     pub fn within(&self, line: &Vector, side: Ordering) -> bool {
         self.rays
             .iter()
             .all(|r| r.vector.side(line) != side.reverse())
     }
 
-    /// Whether the Klein form has one sign, or 0, on all pairs of rays.
+    /// Returns true if the Klein form is never negative, or never positive, on pairs of rays.
     pub fn unreal(&self) -> bool {
         let mut seen = Ordering::Equal;
         for (i, u) in self.rays.iter().enumerate() {
@@ -234,7 +235,8 @@ impl Cone {
     }
 }
 
-/// Indices of six linearly independent vectors, by elimination.
+/// Returns the indices of six linearly independent vectors, found by elimination, or `None` if the vectors
+/// span fewer dimensions.
 fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
     let mut rows: Vec<(Line, usize)> = Vec::new();
     let mut found = Vec::new();
@@ -257,7 +259,7 @@ fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
     None
 }
 
-/// A vector orthogonal to five independent ones: the signed minors of their matrix.
+/// Returns a vector orthogonal to five independent vectors: the signed minors of their matrix.
 fn normal(rows: [&Line; 5]) -> Line {
     reduced(std::array::from_fn(|skip| {
         let columns: Vec<usize> = (0..6).filter(|c| *c != skip).collect();
@@ -270,7 +272,7 @@ fn normal(rows: [&Line; 5]) -> Line {
     }))
 }
 
-/// The determinant by Bareiss's elimination, in which every division is exact.
+/// Computes the determinant by Bareiss's elimination, in which every division is exact.
 fn determinant(mut m: Vec<Vec<IBig>>) -> IBig {
     let n = m.len();
     let mut previous = IBig::ONE;

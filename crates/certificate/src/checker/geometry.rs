@@ -8,15 +8,16 @@ use glam::Vec3;
 
 /// The point (x/w, y/w, z/w), with w > 0.
 pub type Point = [IBig; 4];
-/// (n, k): the plane of the points with n·x = k·w.
+/// The plane (n, k) of the points with n·x = k·w.
 pub type Plane = [IBig; 4];
-/// Plücker coordinates (d, m) of the line from p to q: d = q − p and m = p × q, up to a positive factor; or
-/// any vector of the six-dimensional space that these span.
+/// The Plücker coordinates (d, m) of a line. For the line from p to q, they are d = q − p and m = p × q, up
+/// to a positive factor. Also any vector of the six-dimensional space that these coordinates span.
 pub type Line = [IBig; 6];
 
-/// Doubles times the least power of two that makes all of them integers, and that power's exponent.
+/// Multiplies doubles by the lowest power of two, at least 1, that makes all of them integers. Returns the
+/// integers and the exponent of that power.
 fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
-    // Mantissa and exponent, without trailing zeros of the mantissa.
+    // The mantissa and the exponent, without trailing zeros of the mantissa.
     let parts = x.map(|x| {
         let bits = x.to_bits();
         let field = (bits >> 52 & 0x7ff) as i32;
@@ -36,13 +37,13 @@ fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
     (parts.map(|(m, e)| IBig::from(m) << (e + up) as usize), up)
 }
 
-/// A point in double precision, exactly.
+/// Converts a point in double precision exactly.
 pub fn point(p: [f64; 3]) -> Point {
     let ([x, y, z], up) = scaled(p);
     [x, y, z, IBig::ONE << up as usize]
 }
 
-/// A vector divided by the greatest common divisor of its components.
+/// Divides a vector by the greatest common divisor of its components.
 pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
     let mut common = UBig::ZERO;
     for x in v.iter().filter(|x| !x.is_zero()) {
@@ -62,35 +63,35 @@ pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
     v
 }
 
-/// The sign of an integer.
+/// Returns the sign of an integer.
 pub fn sign(x: &IBig) -> Ordering {
     x.cmp(&IBig::ZERO)
 }
 
-/// n·x − k·w.
+/// Computes n·x − k·w, which is positive on the positive side of the plane.
 pub fn height(plane: &Plane, p: &Point) -> IBig {
     &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
 }
 
-/// The line from p to q; zero if they are the same point.
+/// Returns the line from p to q, which is zero if p and q are the same point.
 pub fn join(p: &Point, q: &Point) -> Line {
     let d = |i: usize| &p[3] * &q[i] - &q[3] * &p[i];
     let m = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
     [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)]
 }
 
-/// The line along n × n' in which two planes meet.
+/// Returns the line along n × n' in which two planes meet.
 pub fn meet(a: &Plane, b: &Plane) -> Line {
     let d = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
     let m = |i: usize| &b[3] * &a[i] - &a[3] * &b[i];
     [d(1, 2), d(2, 0), d(0, 1), m(0), m(1), m(2)]
 }
 
-/// The plane through three points, from whose positive side they turn counter-clockwise.
+/// Returns the plane through three points, which turn counter-clockwise as seen from its positive side.
 pub fn plane(p: [&Point; 3]) -> Plane {
     let [a, b, c] = p;
     let (ab, ac) = (join(a, b), join(a, c));
-    // n = (b − a) × (c − a), and k = n·a; scaled by w(a).
+    // n = (b − a) × (c − a) and k = n·a, scaled by w(a).
     let n = |i: usize, j: usize| &ab[i] * &ac[j] - &ab[j] * &ac[i];
     let n = [n(1, 2), n(2, 0), n(0, 1)];
     let k = &n[0] * &a[0] + &n[1] * &a[1] + &n[2] * &a[2];
@@ -98,23 +99,23 @@ pub fn plane(p: [&Point; 3]) -> Plane {
     [x, y, z, k]
 }
 
-/// The Klein form d·m' + m·d'.
+/// Computes the Klein form d·m' + m·d'.
 pub fn klein(a: &Line, b: &Line) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
 }
 
-/// The corners of a triangle, exactly.
+/// Converts the corners of a triangle exactly.
 pub(super) fn exact(t: &[Vec3; 3]) -> [Point; 3] {
     t.map(|v| point(v.as_dvec3().to_array()))
 }
 
-/// Whether the corners of a triangle are not collinear.
+/// Returns true if the corners of a triangle are not collinear.
 pub(super) fn has_area(t: &[Vec3; 3]) -> bool {
     let [a, b, c] = exact(t);
     !plane([&a, &b, &c])[..3].iter().all(IBig::is_zero)
 }
 
-/// The weighted mean of points, for positive weights.
+/// Returns the weighted mean of points, for positive weights.
 pub(super) fn mixed(points: &[Point], weights: &[IBig]) -> Point {
     let scale: IBig = points.iter().map(|p| &p[3]).product();
     let parts: Vec<IBig> = points
@@ -127,7 +128,7 @@ pub(super) fn mixed(points: &[Point], weights: &[IBig]) -> Point {
     reduced([along(0), along(1), along(2), total * scale])
 }
 
-/// The crossing of a plane and the segment between two points on different sides of it.
+/// Returns the crossing of a plane and the segment between two points on different sides of it.
 pub(super) fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
     let weight = |x: &Point| {
         let h = height(flat, x);

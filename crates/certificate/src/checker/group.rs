@@ -1,5 +1,5 @@
-//! Whether a group of triangles is hidden from a cell: by closed surfaces, or by a proof for each pair of
-//! faces.
+//! The check that a group of triangles is hidden from a cell: closed surfaces hide the triangles, or a proof
+//! exists for each pair of a cell face and a target polygon.
 
 use std::cmp::Ordering;
 use std::sync::OnceLock;
@@ -15,14 +15,15 @@ use super::{Corners, Refusal, check_hidden};
 use crate::certificate::{HiddenBox, HiddenGroup, Target, faces};
 use crate::proof::Proof;
 
-/// Most corners of a target polygon. No search makes more, and the check of convexity is quadratic.
+/// The maximum number of corners of a target polygon. The search makes no larger polygons, and the time of
+/// the convexity check grows with the square of this number.
 const MAX_CORNERS: usize = 64;
 
-/// The parity of a cell by surface, computed on first use; see [`super::surfaces`].
+/// The parities of a cell by surface, each computed on first use. See [`super::surfaces`].
 pub(super) type Parities = [OnceLock<Option<bool>>];
 
-/// Accepts that a closed surface hides a triangle from the whole cell: no point of the cell is on the other
-/// side of its plane than the hidden one.
+/// Checks that a closed surface hides a triangle from the whole cell. This is the case if all points of the
+/// cell are on the hidden side of the triangle's plane, or on the plane.
 fn hidden_by_surface(
     scene: &Triangles<'_>,
     cell: Aabb,
@@ -39,12 +40,12 @@ fn hidden_by_surface(
         .iter()
         .any(|p| sign(&height(&flat, p)) == side.reverse())
     {
-        return Err("a part of the cell is not on its hidden side");
+        return Err("a part of the cell is not on the hidden side of the triangle");
     }
     Ok(())
 }
 
-/// Accepts that a group of triangles is hidden from a cell, or says why that is not shown.
+/// Checks that a group of triangles is hidden from a cell. Returns the reason if this is not shown.
 pub(super) fn check_group(
     scene: &Triangles<'_>,
     cell: Aabb,
@@ -53,12 +54,12 @@ pub(super) fn check_group(
 ) -> Result<(), String> {
     let all = scene.all();
     if group.triangles.iter().any(|id| *id as usize >= all.len()) {
-        return Err("there is no such triangle in the scene".to_owned());
+        return Err("the scene does not contain a triangle of the group".to_owned());
     }
     let targets: Vec<Corners> = match &group.target {
         Target::Surfaces => {
             if !group.proofs.is_empty() {
-                return Err("it is hidden by surfaces and must have no proofs".to_owned());
+                return Err("a group that closed surfaces hide must not contain proofs".to_owned());
             }
             let refusal = group.triangles.par_iter().find_map_first(|id| {
                 hidden_by_surface(scene, cell, parity, *id)
@@ -69,10 +70,13 @@ pub(super) fn check_group(
         }
         Target::Triangle | Target::Half => {
             let [id] = group.triangles[..] else {
-                return Err("it must have exactly one triangle".to_owned());
+                return Err(
+                    "a group with the target Triangle or Half must contain exactly one triangle"
+                        .to_owned(),
+                );
             };
             if meets_box(&all[id as usize], cell) {
-                return Err("it meets the cell".to_owned());
+                return Err("the triangle meets the cell".to_owned());
             }
             if has_area(&all[id as usize]) {
                 vec![exact(&all[id as usize]).into()]
@@ -82,14 +86,17 @@ pub(super) fn check_group(
         }
         Target::Polygon(corners) => {
             if corners.len() > MAX_CORNERS {
-                return Err(format!("its polygon has more than {MAX_CORNERS} corners"));
+                return Err(format!(
+                    "the target polygon has {} corners; at most {MAX_CORNERS} are allowed",
+                    corners.len()
+                ));
             }
             let corners: Corners = corners
                 .iter()
                 .map(|c| point(c.as_dvec3().to_array()))
                 .collect();
             let target = [corners];
-            // The containment test below holds for convex flat polygons only.
+            // The containment test below is correct only for convex flat polygons.
             check_polygons(&target).map_err(|e| e.to_string())?;
             for id in &group.triangles {
                 if meets_box(&all[*id as usize], cell) {
@@ -99,7 +106,7 @@ pub(super) fn check_group(
                     .iter()
                     .all(|p| within(&target[0], p))
                 {
-                    return Err(format!("triangle {id} is not in its polygon"));
+                    return Err(format!("triangle {id} is not in the target polygon"));
                 }
             }
             target.into()
@@ -113,10 +120,10 @@ pub(super) fn check_group(
                     .any(|v| v.cmplt(min).any() || v.cmpgt(max).any())
             };
             if let Some(id) = group.triangles.iter().find(outside) {
-                return Err(format!("triangle {id} is not in its box"));
+                return Err(format!("triangle {id} is not in the target box"));
             }
             if of.touches(&cell) {
-                return Err("its box touches the cell".to_owned());
+                return Err("the target box touches the cell".to_owned());
             }
             faces_towards(*of, cell)
         }
@@ -131,13 +138,13 @@ pub(super) fn check_group(
         ),
         _ => None,
     };
-    check_proofs(scene, cell, (&targets, half), &group.proofs)
+    check_proofs(scene, cell, &targets, half, &group.proofs)
 }
 
-/// Accepts that a box is hidden from a cell, or says why that is not shown. A segment from the cell to the
-/// box leaves the cell through a face and enters the box through a face. Where both share an edge or a
-/// corner, the segments through it form no open set; where they share a part of a face, segments pass it
-/// without being between the faces, so that is refused.
+/// Checks that a box is hidden from a cell. Returns the reason if this is not shown. A segment from the cell
+/// to the box leaves the cell through a face and enters the box through a face. If box and cell share only an
+/// edge or a corner, the segments through it form no open set. If they share a part of a face, segments can
+/// pass through that part and meet no other face, so the function rejects such boxes.
 pub(super) fn check_apart(
     scene: &Triangles<'_>,
     cell: Aabb,
@@ -155,7 +162,8 @@ pub(super) fn check_apart(
     check_proofs(
         scene,
         cell,
-        (&faces_towards(bounds, cell), None),
+        &faces_towards(bounds, cell),
+        None,
         &apart.proofs,
     )
 }
@@ -163,18 +171,18 @@ pub(super) fn check_apart(
 fn check_box(Aabb { min, max }: Aabb) -> Result<(), String> {
     match min.is_finite() && max.is_finite() && min.cmple(max).all() {
         true => Ok(()),
-        false => Err("its box is not finite or its corners are not in order".to_owned()),
+        false => Err("the box is not finite, or a minimum is above its maximum".to_owned()),
     }
 }
 
-/// The faces with area of a box through which segments from a cell can enter it.
-fn faces_towards(of: Aabb, cell: Aabb) -> Vec<Corners> {
-    let Aabb { min, max } = of;
+/// Returns the faces with area of a box through which segments from a cell can enter it.
+fn faces_towards(bounds: Aabb, cell: Aabb) -> Vec<Corners> {
+    let Aabb { min, max } = bounds;
     faces()
         .filter(|(axis, up)| {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             let area = min[u] < max[u] && min[v] < max[v];
-            // Whether a point of the cell is on the outer side of the face.
+            // True if a point of the cell is on the outer side of the face.
             let towards = if *up {
                 cell.max[*axis] > max[*axis]
             } else {
@@ -182,17 +190,18 @@ fn faces_towards(of: Aabb, cell: Aabb) -> Vec<Corners> {
             };
             area && towards
         })
-        .map(|(axis, up)| face(of, axis, up))
+        .map(|(axis, up)| face(bounds, axis, up))
         .collect()
 }
 
-/// Accepts that target polygons are hidden from a cell: there is a proof for each pair of a face of the cell
-/// and a target that has a part beyond the face. With `half`, only the part of the cell on the other side of
-/// the target's plane needs one.
+/// Checks that target polygons are hidden from a cell. There must be a proof for each pair of a face of the
+/// cell and a target with a part beyond the face. With `half`, only the part of the cell on the other side of
+/// the target's plane needs a proof.
 fn check_proofs(
     scene: &Triangles<'_>,
     cell: Aabb,
-    (targets, half): (&[Corners], Option<Ordering>),
+    targets: &[Corners],
+    half: Option<Ordering>,
     proofs: &[Proof],
 ) -> Result<(), String> {
     let mut shown = Vec::with_capacity(proofs.len());
@@ -206,7 +215,7 @@ fn check_proofs(
             };
             let proof = proofs
                 .next()
-                .ok_or("a proof is missing for a pair of faces")?;
+                .ok_or("a proof is missing for a face of the cell and a target polygon")?;
             let part = match half {
                 None => Some(from.clone()),
                 Some(side) => clip(
@@ -219,7 +228,10 @@ fn check_proofs(
         }
     }
     if proofs.next().is_some() {
-        return Err("it has more proofs than pairs of faces".to_owned());
+        return Err(
+            "the certificate has more proofs than pairs of a cell face and a target polygon"
+                .to_owned(),
+        );
     }
     let refusal = shown
         .par_iter()
@@ -235,7 +247,9 @@ fn check_proofs(
         });
     match refusal {
         None => Ok(()),
-        Some(e @ Refusal::Polygon) => Err(format!("a face is not a valid polygon: {e}")),
+        Some(e @ Refusal::Polygon) => Err(format!(
+            "a face of the cell or a target polygon is invalid: {e}"
+        )),
         Some(e) => Err(e.to_string()),
     }
 }

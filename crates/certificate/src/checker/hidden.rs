@@ -1,4 +1,4 @@
-//! Whether a proof shows that one list of polygons is hidden from another: the traversal of the steps.
+//! The check that a proof shows that one list of polygons is hidden from another: traverses the steps.
 
 use std::cmp::Ordering;
 
@@ -6,20 +6,20 @@ use glam::Vec3;
 
 use super::cone::Cone;
 use super::geometry::{Plane, Point, height, plane, sign};
-use super::occluder::{Known, Occluder};
+use super::occluder::{Occluder, OccluderConstraints};
 use super::polygon::{Side, check_polygons, divide, parts};
 use super::start::start;
 use super::vector::Vector;
 use super::{Corners, Refusal};
-use crate::proof::{Proof, Step, Which};
+use crate::proof::{Proof, QueryPolygon, Step};
 
-/// Accepts a proof that no line between the interiors of `a` and `b` is unobstructed, or says why it fails.
+/// Checks a proof that no line between the interiors of `a` and `b` is unobstructed.
 ///
 /// `a` and `b` are lists of convex flat polygons in scene coordinates. A polygon that is flat only up to
-/// rounding is given as the triangles of a fan.
+/// rounding must be given as the triangles of a fan.
 ///
 /// # Errors
-/// [`Refusal`]: the first fault of the proof.
+/// [`Refusal`] for the first fault of the proof.
 pub fn check_hidden(
     scene: &[[Vec3; 3]],
     a: &[Corners],
@@ -65,19 +65,24 @@ impl<'a> Check<'a> {
     }
 
     fn pair(&mut self, a: &[Point], b: &[Point]) -> Result<(), Refusal> {
-        // Divisions nest. Each takes a step, so the stack is never longer than the proof.
+        // Divisions nest. Each division uses a step, so the stack is never longer than the proof.
         let mut open = vec![(a.to_vec(), b.to_vec())];
         while let Some((a, b)) = open.pop() {
-            if let Some(Step::Divide { of, from, to }) = self.steps.get(self.at) {
+            if let Some(Step::Divide {
+                polygon: of,
+                from,
+                to,
+            }) = self.steps.get(self.at)
+            {
                 let unknown = Refusal::Unknown {
                     step: self.at,
-                    what: "a point of a polygon",
+                    what: "a dividing line of a polygon",
                 };
                 self.at += 1;
-                let whole = if *of == Which::A { &a } else { &b };
+                let whole = if *of == QueryPolygon::A { &a } else { &b };
                 let [first, second] = divide(whole, *from, *to).ok_or(unknown)?;
                 let with = |half| {
-                    if *of == Which::A {
+                    if *of == QueryPolygon::A {
                         (half, b.clone())
                     } else {
                         (a.clone(), half)
@@ -104,20 +109,21 @@ impl<'a> Check<'a> {
                 plane: pb,
                 other: behind,
             };
-            let mut known = Known::new();
+            let mut known = OccluderConstraints::new();
             for cone in start(&a, &b) {
-                self.region((&a, &b), &mut known, cone.ok_or(Refusal::Start)?)?;
+                self.region(&a, &b, &mut known, cone.ok_or(Refusal::Start)?)?;
             }
         }
         Ok(())
     }
 
-    /// Checks the steps about one cone. `known` keeps the constraints by the planes of A and B for each
+    /// Checks the steps about one cone. `known` stores the constraints by the planes of A and B for each
     /// occluder.
     fn region(
         &mut self,
-        (a, b): (&Side, &Side),
-        known: &mut Known,
+        a: &Side,
+        b: &Side,
+        known: &mut OccluderConstraints,
         cone: Cone,
     ) -> Result<(), Refusal> {
         let mut open = vec![Some(cone)];
@@ -128,7 +134,7 @@ impl<'a> Check<'a> {
                     if cone.is_some_and(|c| !c.unreal()) {
                         return Err(Refusal::False {
                             step: at,
-                            what: "the region may hold real lines",
+                            what: "the region may contain real lines; the step claims the opposite",
                         });
                     }
                 }
@@ -171,13 +177,14 @@ impl<'a> Check<'a> {
                         outside.push(out);
                         rest = inside;
                     }
-                    // The rest is inside the constraints that it was cut by.
+                    // The remaining region is inside the constraints that have cut it, so test only the other
+                    // constraints.
                     let mut others = constraints()
                         .filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
                     if rest.is_some_and(|c| !others.all(|other| c.within(&other.line, inner))) {
                         return Err(Refusal::False {
                             step: at,
-                            what: "the occluder does not block the whole rest of the region",
+                            what: "the occluder does not block the whole remaining region",
                         });
                     }
                     open.extend(outside.into_iter().rev());
@@ -190,7 +197,7 @@ impl<'a> Check<'a> {
                 Step::Divide { .. } => {
                     return Err(Refusal::False {
                         step: at,
-                        what: "a polygon cannot be divided inside a region",
+                        what: "steps of a region must not divide a polygon",
                     });
                 }
             }

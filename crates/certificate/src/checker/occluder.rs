@@ -1,4 +1,4 @@
-//! An occluder: triangles with windings, and the constraints that say which lines it blocks.
+//! Occluders: triangles with windings, and the constraints on the lines that an occluder blocks.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -11,17 +11,18 @@ use super::polygon::Side;
 use super::vector::Vector;
 use crate::proof::OccluderTriangle;
 
-/// An occluder, derived from its triangles alone.
+/// An occluder, derived only from its triangles.
 pub(super) struct Occluder {
     corners: Vec<[Point; 3]>,
     /// The boundary edges, as constraints on lines.
     pub boundary: Vec<Constraint>,
-    /// Its plane, if all triangles lie in one plane and face the same way.
+    /// The plane of the occluder, if all triangles lie in one plane and face the same direction.
     plane: Option<Plane>,
 }
 
 impl Occluder {
-    /// `None` if a triangle is not in the scene, an edge has no length, or there is no boundary.
+    /// Creates an occluder. Returns `None` if a triangle is not in the scene, an edge has no length, or there
+    /// is no boundary.
     pub fn new(scene: &[[Vec3; 3]], triangles: &[OccluderTriangle]) -> Option<Self> {
         let mut corners = Vec::with_capacity(triangles.len());
         for OccluderTriangle { triangle, reversed } in triangles {
@@ -32,7 +33,8 @@ impl Occluder {
         let mut left: Vec<(&Point, &Point)> = Vec::new();
         for (k, OccluderTriangle { reversed, .. }) in triangles.iter().enumerate() {
             let [x, y, z] = &corners[k];
-            // Constraints are numbered by the scene's order of the edges: 01, 12, 20.
+            // The numbers of constraints follow the order of a triangle's edges in the scene: from corner 0
+            // to 1, 1 to 2, and 2 to 0.
             let edges = if *reversed {
                 [(z, x), (y, z), (x, y)]
             } else {
@@ -47,7 +49,7 @@ impl Occluder {
                 }
             }
         }
-        // The argument needs at least one boundary edge, and a line for each.
+        // The argument needs at least one boundary edge, and each boundary edge needs a length.
         let boundary: Vec<Line> = left.iter().map(|(p, q)| join(p, q)).collect();
         if boundary.is_empty() || boundary.iter().any(|l| l.iter().all(IBig::is_zero)) {
             return None;
@@ -59,8 +61,8 @@ impl Occluder {
                 line: Vector::new(l),
             })
             .collect();
-        // Only if all triangles lie in one plane and face the same way does a line cross all of them from the
-        // same side, the one that the boundary edges say.
+        // A line crosses all triangles from the same side only if all of them lie in one plane and face the
+        // same direction. The boundary edges determine this side.
         let planes: Vec<Plane> = corners.iter().map(|[a, b, c]| plane([a, b, c])).collect();
         let flat = planes.first()?;
         let ahead = |p: &Plane| sign(&(0..3).map(|i| &p[i] * &flat[i]).sum()) == Ordering::Greater;
@@ -79,16 +81,18 @@ impl Occluder {
 /// negative side.
 #[derive(Clone)]
 pub(super) struct Constraint {
-    /// Its number in [`Step::Block`](crate::proof::Step::Block).
+    /// The number of the constraint in [`Step::Block`](crate::proof::Step::Block).
     pub number: usize,
     pub line: Vector,
 }
 
-/// By occluder: the constraints by the planes of A and B, or the reason why it cannot block between them.
-pub(super) type Known = BTreeMap<usize, Result<Vec<Constraint>, &'static str>>;
+/// For each occluder, the constraints by the planes of A and B, or the reason why it cannot block between
+/// them.
+pub(super) type OccluderConstraints = BTreeMap<usize, Result<Vec<Constraint>, &'static str>>;
 
 impl Occluder {
-    /// The constraints besides those of the boundary: with them, a crossing is between A and B.
+    /// Computes the constraints that, in addition to the boundary, place a crossing between A and B. The
+    /// error is the reason why the occluder cannot block between A and B.
     pub fn planes(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
         let mut out = Vec::new();
         for (k, side) in [a, b].into_iter().enumerate() {
@@ -98,7 +102,9 @@ impl Occluder {
                 .map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p))))
                 .collect();
             if places.contains(&[Ordering::Equal; 3]) {
-                return Err("a triangle in the plane of A or B blocks nothing");
+                return Err(
+                    "a triangle of the occluder lies in the plane of A or B, so it blocks no line",
+                );
             }
             if places
                 .iter()
@@ -110,7 +116,7 @@ impl Occluder {
             let own = self
                 .plane
                 .as_ref()
-                .ok_or("an occluder that is not flat is not between A and B")?;
+                .ok_or("the occluder is not flat and reaches beyond the plane of A or B")?;
             let toward = if side.other == Ordering::Less {
                 side.plane.clone().map(|c| -c)
             } else {

@@ -7,17 +7,17 @@ use dashu_int::IBig;
 use super::geometry::{Plane, Point, height, plane, reduced, sign};
 use super::{Corners, Refusal};
 
-/// A polygon of a pair, and the plane it lies in.
+/// A polygon of a pair, and the plane that contains it.
 pub(super) struct Side {
     pub corners: Vec<Point>,
     pub plane: Plane,
-    /// The side of the plane that the other polygon is on.
+    /// The side of the plane that contains the other polygon.
     pub other: Ordering,
 }
 
-/// Refuses polygons that are not flat and strictly convex: no corner may lie on the line of an edge that it
-/// is not an end of.
-pub(super) fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
+/// Checks that polygons are flat and strictly convex. A corner may lie on the line of an edge only if it is
+/// an end of the edge.
+pub(super) fn check_polygons(polygons: &[Corners]) -> Result<(), Refusal> {
     let sound = |c: &Corners| {
         let n = c.len();
         if n < 3 || c.iter().any(|p| sign(&p[3]) != Ordering::Greater) {
@@ -42,14 +42,14 @@ pub(super) fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
                     .all(|k| left(i, k) == inner)
             })
     };
-    if of.iter().all(sound) {
+    if polygons.iter().all(sound) {
         Ok(())
     } else {
         Err(Refusal::Polygon)
     }
 }
 
-/// The parts of two polygons, each on one side of the other's plane.
+/// Returns the pairs of parts of two polygons, each part on one side of the other polygon's plane.
 pub(super) fn parts(a: &[Point], b: &[Point]) -> Vec<(Vec<Point>, Vec<Point>)> {
     let (pa, pb) = (plane([&a[0], &a[1], &a[2]]), plane([&b[0], &b[1], &b[2]]));
     let mut out = Vec::new();
@@ -63,7 +63,8 @@ pub(super) fn parts(a: &[Point], b: &[Point]) -> Vec<(Vec<Point>, Vec<Point>)> {
     out
 }
 
-/// The part of a polygon on one side of a plane, with its border; `None` if it has no area.
+/// Returns the part of a polygon on one side of a plane, including its border. Returns `None` if the part has
+/// no area.
 pub(super) fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<Vec<Point>> {
     let heights: Vec<IBig> = corners.iter().map(|p| height(plane, p)).collect();
     if !heights.iter().any(|h| sign(h) == keep) {
@@ -77,7 +78,7 @@ pub(super) fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<V
             out.push(corners[i].clone());
         }
         if sign(&(&heights[i] * &heights[j])) == Ordering::Less {
-            // |h(i)|·j + |h(j)|·i is where the edge meets the plane.
+            // The edge meets the plane at |h(i)|·j + |h(j)|·i.
             let weight = |h: &IBig| {
                 if sign(h) == Ordering::Less {
                     -h.clone()
@@ -94,8 +95,9 @@ pub(super) fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<V
     Some(out)
 }
 
-/// The two parts of a polygon along the line through two of its points, numbered as in
-/// [`Step::Divide`](crate::proof::Step::Divide). `None` if there are no such points or a part has no area.
+/// Divides a polygon along the line through two of its points, numbered as in
+/// [`Step::Divide`](crate::proof::Step::Divide). Returns `None` if the points do not exist or a part has no
+/// area.
 pub(super) fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point>; 2]> {
     let n = 2 * corners.len();
     let (from, to) = (usize::from(from), usize::from(to));
@@ -118,7 +120,7 @@ pub(super) fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point
         }
         let mut middle: Point = std::array::from_fn(|k| &p[k] * &q[3] + &q[k] * &p[3]);
         middle[3] = &p[3] * &q[3] * 2;
-        // Without this, each division of a divided edge would double the length of the integers.
+        // Without the reduction, each division of a divided edge would double the length of the integers.
         reduced(middle)
     };
     let round = |from: usize, to: usize| {
@@ -136,7 +138,7 @@ pub(super) fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point
     Some([round(from, to), round(to, from)])
 }
 
-/// Whether a point lies in a convex flat polygon, border included.
+/// Returns true if a point lies in a convex flat polygon, including its border.
 pub(super) fn within(polygon: &Corners, p: &Point) -> bool {
     let n = polygon.len();
     let flat = plane([&polygon[0], &polygon[1], &polygon[2]]);
@@ -158,13 +160,13 @@ pub(super) fn within(polygon: &Corners, p: &Point) -> bool {
     height(&flat, p).is_zero() && (0..n).all(|i| side(i, p) != inner.reverse())
 }
 
-/// Whether a point of a polygon's plane is strictly inside it.
+/// Returns true if a point of a polygon's plane is strictly inside the polygon.
 pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
     let flat = plane([&corners[0], &corners[1], &corners[2]]);
     if !height(&flat, p).is_zero() {
         return false;
     }
-    // A point off the plane makes "left of an edge" the side of a plane through that edge.
+    // With a point off the plane, each edge spans a plane that has the polygon on one side.
     let off: Point = std::array::from_fn(|i| {
         if i < 3 {
             &p[i] + &flat[i] * &p[3]

@@ -8,7 +8,8 @@ use super::cone::Cone;
 use super::geometry::{Line, height, join, klein, meet, sign};
 use super::polygon::Side;
 
-/// The cones that together hold all lines from A to B; `None` for one that has no interior or is not pointed.
+/// Returns the cones that together contain all lines from A to B. The entry of a cone without interior, or of
+/// a cone that is not pointed, is `None`.
 pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
     let mut lines = Vec::new();
     let mut along = Vec::new();
@@ -29,7 +30,8 @@ pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
         }
     }
     let k = meet(&a.plane, &b.plane);
-    // Both are multiples of k, so the sign of any component that is not 0 decides.
+    // A line along k is a multiple of k, so the sign of any product of components that is not 0 determines
+    // its direction.
     let way = |l: &Line| {
         l.iter()
             .zip(&k)
@@ -41,8 +43,8 @@ pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
     match (both, across) {
         (true, Some(across)) => {
             let at_k = klein(&k, &across);
-            // v·f(k) − f(v)·k lies on the hyperplane f = 0; its sign is chosen so that v has a positive
-            // factor.
+            // The vector v·f(k) − f(v)·k lies on the hyperplane f = 0. Choose its sign so that v has a
+            // positive factor.
             let base: Vec<Line> = lines
                 .iter()
                 .map(|v| {
@@ -60,10 +62,10 @@ pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
                 .map(|end| {
                     let mut rays = base.clone();
                     rays.push(end);
-                    Cone::of(rays)
+                    Cone::new(rays)
                 })
                 .collect()
         }
-        _ => vec![Cone::of(lines)],
+        _ => vec![Cone::new(lines)],
     }
 }

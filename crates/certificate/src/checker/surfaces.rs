@@ -1,4 +1,4 @@
-//! Whether the closed surface that a triangle belongs to hides it from a cell.
+//! The check that the closed surface of a triangle hides the triangle from a cell.
 //!
 //! # The argument
 //!
@@ -15,27 +15,27 @@
 //! meets no patch and whose ends have different parities crosses a triangle of the surface itself.
 //!
 //! A cell that no triangle of S and no patch meets has one parity. The two sides of a triangle that no other
-//! triangle of S passes through have one parity each, and these differ. On the side whose parity is not that
-//! of the cell, every segment from the cell to just before the triangle crosses S: the triangle is *hidden
+//! triangle of S intersects have one parity each, and these differ. On the side whose parity differs from the
+//! cell's parity, every segment from the cell to just before the triangle crosses S: the triangle is *hidden
 //! from that side*.
 //!
-//! # What is checked
+//! # Checks
 //!
-//! All of it from the scene alone, in integers:
+//! The following checks use only the scene, in integers:
 //!
 //! 1. The *surface* of a triangle is the set of triangles with area that are connected to it through edges
-//!    with equal end positions. If it has few odd edges ([`few_odd_edges`]), each connected part of these is
-//!    closed by patches: a triangle from each edge to the corner of the part that is least by the bits of its
-//!    coordinates.
+//!    with equal end positions. If it has few odd edges ([`few_odd_edges`]), patches close each connected
+//!    part of these edges. A patch is a triangle from an edge to the lowest corner of the part, by the bits
+//!    of its coordinates.
 //! 2. No triangle of the surface meets the cell. The cell's parity is counted along a segment from its centre
-//!    to a point outside the bounds of the surface that touches no edge of a triangle or patch.
+//!    to a point outside the bounds of the surface. The segment touches no edge of a triangle or patch.
 //! 3. No other triangle of the surface has a point inside this triangle. The parity of a side is counted
 //!    along a segment that ends inside the triangle on that side.
 //! 4. No patch has a point in the convex hull of cell and triangle: an axis-parallel plane, the patch's
 //!    plane, or the triangle's plane separates them. So no patch meets the cell, the triangle, or a segment
 //!    between them.
 //!
-//! If a fixed number of attempts finds no segment in general position, the claim is refused.
+//! If a fixed number of attempts finds no segment in general position, the checker rejects the claim.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -54,13 +54,15 @@ use super::polygon::inside;
 use super::tree::TriangleTree;
 use crate::certificate::few_odd_edges;
 
-/// Most segments tried for one parity, each in another direction.
+/// The maximum number of segments tried to determine one parity, each in another direction.
 const TRIES: u32 = 16;
 
 /// The surfaces of a scene, and the parities of their triangles, computed on first use.
 pub struct Surfaces {
-    of: Vec<Option<u32>>,
+    /// For each triangle, the index of its surface in `all`; `None` if it is in no closed surface.
+    by_triangle: Vec<Option<u32>>,
     all: Vec<Surface>,
+    /// For each triangle, the parity on the side that its normal points to, computed on first use.
     front: Vec<OnceLock<Option<bool>>>,
 }
 
@@ -70,7 +72,7 @@ struct Surface {
     patches: Vec<[Vec3; 3]>,
 }
 
-/// A position by its bits, with −0 as 0.
+/// Returns the bits of a position's coordinates, with −0 as 0.
 fn key(v: Vec3) -> [u32; 3] {
     (v + Vec3::ZERO).to_array().map(f32::to_bits)
 }
@@ -124,19 +126,19 @@ impl Surfaces {
             surface_ids[t] = Some(id);
         }
         Self {
-            of: surface_ids,
+            by_triangle: surface_ids,
             all,
             front: vec![OnceLock::new(); scene.len()],
         }
     }
 
-    /// The number of surfaces.
+    /// Returns the number of surfaces.
     pub fn len(&self) -> usize {
         self.all.len()
     }
 
-    /// The side of its plane from which a triangle is hidden from a cell. `parity` caches the parities of the
-    /// cell.
+    /// Returns the side of a triangle's plane on which its surface hides the triangle from a cell. `parity`
+    /// caches the parity of the cell for each surface. The error is the reason why the surface hides no side.
     pub fn hidden_side(
         &self,
         scene: &TriangleTree<'_>,
@@ -144,20 +146,21 @@ impl Surfaces {
         parity: &[OnceLock<Option<bool>>],
         t: u32,
     ) -> Result<Ordering, &'static str> {
-        let s = self.of[t as usize].ok_or("it belongs to no closed surface")?;
+        let s = self.by_triangle[t as usize]
+            .ok_or("the triangle does not belong to a closed surface")?;
         let of_cell = parity[s as usize]
             .get_or_init(|| self.parity_of(scene, s, cell))
-            .ok_or("its surface meets the cell, or the parity of the cell cannot be decided")?;
+            .ok_or("the triangle's surface meets the cell, or the parity of the cell cannot be decided")?;
         let front = self.front[t as usize]
             .get_or_init(|| self.parity_in_front(scene, s, t))
-            .ok_or("its surface passes through it, or its parity cannot be decided")?;
+            .ok_or("the surface passes through the triangle, or the triangle's parity cannot be decided")?;
         let v = &scene.all()[t as usize];
         if !self.all[s as usize]
             .patches
             .iter()
             .all(|p| apart(cell, v, p))
         {
-            return Err("a patch of its surface may be between the cell and the triangle");
+            return Err("a patch of the surface may be between the cell and the triangle");
         }
         Ok(if of_cell == front {
             Ordering::Less
@@ -166,11 +169,12 @@ impl Surfaces {
         })
     }
 
-    /// The parity of a cell; `None` if the surface meets the cell or no segment is in general position.
+    /// Computes the parity of a cell for surface `s`. Returns `None` if the surface meets the cell or no
+    /// tried segment is in general position.
     fn parity_of(&self, scene: &TriangleTree<'_>, s: u32, cell: Aabb) -> Option<bool> {
         let mut near = Vec::new();
         scene.in_box(cell, &mut near);
-        let own = |u: &&u32| self.of[**u as usize] == Some(s);
+        let own = |u: &&u32| self.by_triangle[**u as usize] == Some(s);
         if near
             .iter()
             .filter(own)
@@ -181,10 +185,11 @@ impl Surfaces {
         let middle = (cell.min.as_dvec3() + cell.max.as_dvec3()) * 0.5;
         let from = point(middle.to_array());
         (0..TRIES)
-            .find_map(|k| self.parity(scene, s, (&from, cell), self.outside(s, middle, k), None))
+            .find_map(|k| self.parity(scene, s, &from, cell, self.outside(s, middle, k), None))
     }
 
-    /// The parity on the side of a triangle that its normal points to; `None` if that has no one value.
+    /// Computes the parity on the side of a triangle that its normal points to. Returns `None` if that side
+    /// has more than one parity or the parity cannot be decided.
     fn parity_in_front(&self, scene: &TriangleTree<'_>, s: u32, t: u32) -> Option<bool> {
         let v = &scene.all()[t as usize];
         let bounds = Aabb::around(*v);
@@ -195,24 +200,25 @@ impl Surfaces {
         let pierces = |u: &&u32| **u != t && pierces(&corners, &flat, &scene.all()[**u as usize]);
         if near
             .iter()
-            .filter(|u| self.of[**u as usize] == Some(s))
+            .filter(|u| self.by_triangle[**u as usize] == Some(s))
             .any(|u| pierces(&u))
         {
             return None;
         }
         (0..TRIES).find_map(|k| {
-            // A point inside the triangle: all weights are positive.
+            // The point is inside the triangle, because all weights are positive.
             let weights = [1 + k % 5, 1 + k % 3, 1 + k % 7].map(IBig::from);
             let at = mixed(&corners, &weights);
             let near = (v[0].as_dvec3() + v[1].as_dvec3() + v[2].as_dvec3()) / 3.0;
             let out = self.outside(s, near, k);
             let side = sign(&height(&flat, &point(out)));
-            let odd = self.parity(scene, s, (&at, bounds), out, Some(t))?;
+            let odd = self.parity(scene, s, &at, bounds, out, Some(t))?;
             (side != Ordering::Equal).then_some(odd == (side == Ordering::Greater))
         })
     }
 
-    /// A point outside the bounds of the surface, displaced from another point mainly along an axis.
+    /// Returns a point outside the bounds of surface `s`, displaced from the point `from` mainly along an
+    /// axis. Each attempt `k` gives another point.
     fn outside(&self, s: u32, from: glam::DVec3, k: u32) -> [f64; 3] {
         let Surface { min, max, .. } = &self.all[s as usize];
         let (min, max) = (min.as_dvec3().min(from), max.as_dvec3().max(from));
@@ -230,14 +236,15 @@ impl Surfaces {
         to
     }
 
-    /// Whether the segment from a point inside `bounds` to a point outside the surface crosses the surface
-    /// and its patches an odd number of times, not counting the triangle `without`; `None` if it touches an
-    /// edge.
+    /// Returns true if a segment crosses the surface and its patches an odd number of times. The segment
+    /// leads from a point inside `bounds` to a point outside the surface. The count excludes the triangle
+    /// `without`. Returns `None` if the segment touches an edge.
     fn parity(
         &self,
         scene: &TriangleTree<'_>,
         s: u32,
-        (from, bounds): (&Point, Aabb),
+        from: &Point,
+        bounds: Aabb,
         to: [f64; 3],
         without: Option<u32>,
     ) -> Option<bool> {
@@ -254,7 +261,7 @@ impl Surfaces {
         let along = scene.along(bounds, around);
         let own = along
             .iter()
-            .filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+            .filter(|u| self.by_triangle[**u as usize] == Some(s) && Some(**u) != without);
         let mut odd = false;
         for u in own.map(|u| &scene.all()[*u as usize]).chain(patches) {
             odd ^= passes(u, from, &end)?;
@@ -263,7 +270,8 @@ impl Surfaces {
     }
 }
 
-/// Whether a segment crosses the interior of a triangle; `None` if it touches the triangle otherwise, or may.
+/// Returns true if a segment crosses the interior of a triangle. Returns `None` if the segment touches, or
+/// may touch, the triangle in another way.
 fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
     let [a, b, c] = exact(t);
     let own = plane([&a, &b, &c]);
@@ -283,9 +291,9 @@ fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
     }
 }
 
-/// Whether triangle `u` has a point in the interior of triangle `t`. It is clipped to the plane of `t` and to
-/// the inner sides of the edges of `t`; the rest is convex, so it has a point in the interior if and only if
-/// its centre is one.
+/// Returns true if triangle `u` has a point in the interior of triangle `t`. The function clips `u` to the
+/// plane of `t` and to the inner sides of the edges of `t`. The remaining polygon is convex, so it has a
+/// point in the interior of `t` if and only if its centre is such a point.
 fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     let [a, b, c] = t;
     let off: Point = std::array::from_fn(|i| {
@@ -327,8 +335,8 @@ fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     inside(&t[..], &mixed(&left, &weights))
 }
 
-/// Whether a plane of a fixed list shows that a patch has no point in the convex hull of a cell and a
-/// triangle.
+/// Returns true if a plane separates a patch from the convex hull of a cell and a triangle. The function
+/// tries a fixed list of planes.
 fn apart(Aabb { min: lo, max: hi }: Aabb, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
     let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
     if (0..3).any(|k| patch.iter().all(|p| p[k] < min[k]) || patch.iter().all(|p| p[k] > max[k])) {
@@ -347,7 +355,7 @@ fn apart(Aabb { min: lo, max: hi }: Aabb, t: &[Vec3; 3], patch: &[Vec3; 3]) -> b
         })
         .collect();
     let (t, patch) = (exact(t), exact(patch));
-    let side = |of: &[Point; 3], p: &Point| sign(&height(&plane([&of[0], &of[1], &of[2]]), p));
+    let side = |t: &[Point; 3], p: &Point| sign(&height(&plane([&t[0], &t[1], &t[2]]), p));
     let first = side(&patch, &cell[0]);
     if first != Ordering::Equal && cell.iter().chain(&t).all(|p| side(&patch, p) == first) {
         return true;
@@ -358,10 +366,10 @@ fn apart(Aabb { min: lo, max: hi }: Aabb, t: &[Vec3; 3], patch: &[Vec3; 3]) -> b
         && cell.iter().all(|p| side(&t, p) != beyond)
 }
 
-/// The patches that close a surface with these odd edges.
+/// Returns the patches that close a surface with these odd edges.
 fn patches(odd: &[[[u32; 3]; 2]]) -> Vec<[Vec3; 3]> {
     let position = |k: [u32; 3]| Vec3::from(k.map(f32::from_bits));
-    // The least corner of the connected part that each corner belongs to.
+    // For each corner, the lowest corner of the connected part that contains it.
     let mut least: BTreeMap<[u32; 3], [u32; 3]> = odd.iter().flatten().map(|k| (*k, *k)).collect();
     loop {
         let mut changed = false;

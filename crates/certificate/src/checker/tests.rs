@@ -1,12 +1,12 @@
-//! Proofs and witnesses that must be accepted, and altered ones that must be refused.
+//! Tests of proofs and witnesses that the checker must accept, and of altered ones that it must reject.
 
 use glam::{DVec3, Vec3};
 
 use super::geometry::point;
 use super::*;
-use crate::proof::{OccluderTriangle, Proof, Step, Which};
+use crate::proof::{OccluderTriangle, Proof, QueryPolygon, Step};
 
-/// Two squares that face each other at a distance of 10.
+/// Returns two squares that face each other at a distance of 10.
 fn squares() -> [Vec<Corners>; 2] {
     [0.0, 10.0].map(|z| {
         vec![corners(
@@ -32,7 +32,7 @@ fn refused(scene: &[[Vec3; 3]], occluder: Vec<(u32, bool)>) -> Option<Refusal> {
 }
 
 #[test]
-fn a_triangle_blocks_if_it_is_in_the_way() {
+fn triangle_blocks_only_between_polygons() {
     let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     let wall = [v(-9.0, -9.0, 5.0), v(30.0, -9.0, 5.0), v(-9.0, 30.0, 5.0)];
     assert_eq!(refused(&[wall], vec![(0, false)]), None);
@@ -46,7 +46,7 @@ fn a_triangle_blocks_if_it_is_in_the_way() {
         refused(&[behind], vec![(0, false)]),
         Some(Refusal::False { .. })
     ));
-    // In B's plane it blocks nothing.
+    // A triangle in B's plane does not block.
     let in_plane = wall.map(|p| p + Vec3::Z * 5.0);
     assert!(matches!(
         refused(&[in_plane], vec![(0, false)]),
@@ -59,10 +59,10 @@ fn a_triangle_blocks_if_it_is_in_the_way() {
 }
 
 #[test]
-fn an_occluder_needs_a_boundary_and_area() {
+fn occluder_needs_boundary_and_area() {
     let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     let aside = [v(50.0, 0.0, 5.0), v(60.0, 0.0, 5.0), v(50.0, 9.0, 5.0)];
-    // Both sides of a sheet: every edge cancels.
+    // Both sides of a sheet form no occluder, because every edge cancels.
     assert_eq!(
         refused(&[aside, aside], vec![(0, false), (1, true)]),
         Some(Refusal::Occluder(0))
@@ -78,7 +78,7 @@ fn an_occluder_needs_a_boundary_and_area() {
         refused(&[twice], vec![(0, false)]),
         Some(Refusal::Occluder(0))
     );
-    // Collinear, and through B's plane, where the occluder needs a plane of its own.
+    // The triangle is collinear and passes through B's plane, where the occluder needs a separate plane.
     let needle = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 15.0), v(0.5, 0.5, 25.0)];
     assert!(refused(&[needle], vec![(0, false)]).is_some());
 }
@@ -86,7 +86,8 @@ fn an_occluder_needs_a_boundary_and_area() {
 #[test]
 fn triangles_of_opposite_windings_have_no_common_plane() {
     let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
-    // Behind B. It would block if the first of three copies, which cancels, could reverse the plane.
+    // The triangle is behind B. It would block if the first of three copies, which cancels, could reverse the
+    // plane.
     let behind = [
         v(-9.0, -9.0, 12.0),
         v(30.0, -9.0, 12.0),
@@ -99,7 +100,7 @@ fn triangles_of_opposite_windings_have_no_common_plane() {
             Some(Refusal::False { .. })
         ));
     }
-    // It crosses B's plane and is beside all lines on the side of A.
+    // The triangle crosses B's plane and is next to all lines on the side of A.
     let leaning = [v(-9.0, -9.0, 10.5), v(30.0, -9.0, 10.5), v(0.5, 90.0, 9.5)];
     for first in [false, true] {
         let occluder = vec![(0, first), (0, !first), (0, !first)];
@@ -111,7 +112,7 @@ fn triangles_of_opposite_windings_have_no_common_plane() {
 }
 
 #[test]
-fn an_invalid_polygon_is_refused() {
+fn rejects_invalid_polygon() {
     let [a, b] = squares();
     let in_line = [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
     let bad = [
@@ -139,7 +140,7 @@ fn an_invalid_polygon_is_refused() {
 }
 
 #[test]
-fn an_end_with_a_negative_weight_is_refused() {
+fn rejects_witness_end_with_negative_weight() {
     let [a, b] = squares();
     let wall = [[-9.0, -9.0, 5.0], [30.0, -9.0, 5.0], [-9.0, 30.0, 5.0]].map(Vec3::from);
     let [p, q] = [[0.5, 0.5, 0.0], [0.5, 0.5, 10.0]].map(point);
@@ -149,7 +150,7 @@ fn an_end_with_a_negative_weight_is_refused() {
 }
 
 #[test]
-fn a_division_without_area_is_refused() {
+fn rejects_division_without_area() {
     let [a, b] = squares();
     for (from, to) in [
         (65535, 0),
@@ -161,7 +162,7 @@ fn a_division_without_area_is_refused() {
         (7, 0),
     ] {
         let steps = vec![Step::Divide {
-            of: Which::A,
+            polygon: QueryPolygon::A,
             from,
             to,
         }];
@@ -180,7 +181,7 @@ fn a_division_without_area_is_refused() {
     // Repeated division keeps the integers short, and the proof ends too early.
     let steps = vec![
         Step::Divide {
-            of: Which::A,
+            polygon: QueryPolygon::A,
             from: 1,
             to: 5
         };
@@ -197,7 +198,7 @@ fn a_division_without_area_is_refused() {
 }
 
 #[test]
-fn the_length_of_a_proof_is_checked() {
+fn rejects_proofs_of_wrong_length() {
     let [a, b] = squares();
     assert_eq!(
         check_hidden(&[], &a, &b, &Proof::default()),

@@ -1,27 +1,27 @@
-//! The triangles of a scene in a tree of boxes, to find those near a box or a segment.
+//! A tree of boxes around the triangles of a scene, to find the triangles near a box or a segment.
 //!
-//! Boxes are compared in single precision, which is exact: the coordinates are those of the scene.
+//! Comparisons of boxes in single precision are exact, because the coordinates are the scene's coordinates.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
 
-/// The triangles of a scene, indexed so that a query for those near a segment visits few others.
+/// The triangles of a scene with an index for queries near a segment, which visit few other triangles.
 pub struct TriangleTree<'a> {
     all: &'a [[Vec3; 3]],
-    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds
-    /// the k-th of equal parts of `order`.
+    /// The boxes as a binary heap: the root at 1, and the children of `i` at 2i and 2i + 1. Node k of a level
+    /// contains the k-th of the level's equal parts of `order`.
     boxes: Vec<Aabb>,
     order: Vec<u32>,
     depth: u32,
 }
 
-/// Typical number of triangles in a leaf.
+/// The typical number of triangles in a leaf.
 const LEAF: usize = 4;
-/// Number of pieces that a segment is cut into, each with a box of its own.
+/// The number of pieces into which a look-up divides a segment, each with a separate box.
 const PIECES: u32 = 64;
 
 impl<'a> TriangleTree<'a> {
-    /// Builds the tree of some of the triangles.
+    /// Creates the tree of the triangles in `order`.
     pub fn new(all: &'a [[Vec3; 3]], mut order: Vec<u32>) -> Self {
         let count = order.len();
         let depth = (count / LEAF).max(1).ilog2();
@@ -56,16 +56,16 @@ impl<'a> TriangleTree<'a> {
         }
     }
 
-    /// The triangles, in the order of the scene.
+    /// Returns the triangles, in the order of the scene.
     pub fn all(&self) -> &'a [[Vec3; 3]] {
         self.all
     }
 
-    /// Appends every triangle of the tree whose bounds meet the box; then sorts `out` and removes duplicates.
-    pub fn in_box(&self, of: Aabb, out: &mut Vec<u32>) {
+    /// Appends every triangle of the tree whose bounds meet the box. Then sorts `out` and removes duplicates.
+    pub fn in_box(&self, bounds: Aabb, out: &mut Vec<u32>) {
         let mut open = vec![(0u32, 0usize)];
         while let Some((level, k)) = open.pop() {
-            if !self.boxes[(1 << level) + k].touches(&of) {
+            if !self.boxes[(1 << level) + k].touches(&bounds) {
                 continue;
             }
             if level < self.depth {
@@ -75,22 +75,22 @@ impl<'a> TriangleTree<'a> {
             let leaf = &self.order[part(self.order.len(), level, k)];
             out.extend(
                 leaf.iter()
-                    .filter(|t| Aabb::around(self.all[**t as usize]).touches(&of)),
+                    .filter(|t| Aabb::around(self.all[**t as usize]).touches(&bounds)),
             );
         }
         out.sort_unstable();
         out.dedup();
     }
 
-    /// Every triangle of the tree that may have a point on a segment between two points that lie in the boxes
-    /// `p` and `q`; ascending.
+    /// Returns every triangle of the tree that may have a point on a segment, ascending. The ends of the
+    /// segment are points in the boxes `p` and `q`.
     pub fn along(&self, p: Aabb, q: Aabb) -> Vec<u32> {
         let mut out = Vec::new();
         let (p, q) = (p.corners(), q.corners());
         for piece in 0..PIECES {
-            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates
-            // are between those of the boxes there. The weights are exact; two products and a sum err by less
-            // than 1e-15 of the largest coordinate.
+            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64, the coordinates
+            // of the point are between the coordinates of the boxes there. The weights are exact. The error
+            // of two products and a sum is less than 1e-15 of the largest coordinate.
             let share = |k: u32, corner: usize| {
                 let t = f64::from(k) / f64::from(PIECES);
                 p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t
@@ -120,7 +120,7 @@ impl<'a> TriangleTree<'a> {
     }
 }
 
-/// The range of the `k`-th of 2^level equal parts of `items` items.
+/// Returns the range of the `k`-th of 2^level equal parts of `items` items.
 fn part(items: usize, level: u32, k: usize) -> std::ops::Range<usize> {
     let at = |k: usize| ((items as u128 * k as u128) >> level) as usize;
     at(k)..at(k + 1)
@@ -138,9 +138,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn queries_find_every_near_triangle(
+        fn queries_return_every_near_triangle(
             triangles in prop::collection::vec(prop::array::uniform3(point()), 0..60),
-            (p, q) in (point(), point()),
+            p in point(),
+            q in point(),
         ) {
             let tree = TriangleTree::new(&triangles, (0..triangles.len() as u32).collect());
             let along = tree.along(Aabb::new(p, p), Aabb::new(q, q));
@@ -151,7 +152,7 @@ mod tests {
                 let (min, max) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
                 let touches = min.cmple(bounds.max).all() && max.cmpge(bounds.min).all();
                 prop_assert_eq!(in_box.contains(&(id as u32)), touches);
-                // Whether a point of the segment is in the triangle's box.
+                // True if a point of the segment is in the triangle's box.
                 let hit = (0..=640).any(|k| {
                     let x = p.as_dvec3() + (q - p).as_dvec3() * (f64::from(k) / 640.0);
                     x.cmpge(min.as_dvec3()).all() && x.cmple(max.as_dvec3()).all()

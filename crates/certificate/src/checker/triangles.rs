@@ -1,5 +1,5 @@
-//! The triangles of a scene with the facts about them that the checker needs: which block and which show, a
-//! tree of boxes around the blocking ones, and the closed surfaces that they form.
+//! The triangles of a scene with facts that the checker needs. These are the blocking and the shown
+//! triangles, a tree of boxes around the blocking ones, and the closed surfaces that they form.
 
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -9,18 +9,18 @@ use glam::Vec3;
 use super::surfaces::Surfaces;
 use super::tree::TriangleTree;
 
-/// Which triangles of a scene block and which show. An empty list means that all do.
+/// The kinds of the triangles of a scene. An empty list means that the property holds for all triangles.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Kinds<'a> {
-    /// By triangle, whether sight lines end at it.
+    /// For each triangle, true if sight lines end at it.
     pub blocks: &'a [bool],
-    /// By triangle, whether it can be in a visibility set.
+    /// For each triangle, true if it can be in a visibility set.
     pub shows: &'a [bool],
 }
 
 impl Kinds<'_> {
     fn has(list: &[bool], triangle: u32) -> bool {
-        // A triangle beyond a list that is too short neither blocks nor shows.
+        // A triangle beyond the end of a list that is too short neither blocks nor shows.
         list.is_empty() || list.get(triangle as usize).copied().unwrap_or(false)
     }
 }
@@ -28,7 +28,8 @@ impl Kinds<'_> {
 /// The triangles of a scene, prepared for the checker.
 pub struct Triangles<'a> {
     all: &'a [[Vec3; 3]],
-    /// The triangles, those that do not block without area: they form no occluder and no surface.
+    /// The triangles, with the non-blocking ones replaced by triangles without area, which form no occluder
+    /// and no surface.
     blocking: Cow<'a, [[Vec3; 3]]>,
     tree: TriangleTree<'a>,
     surfaces: OnceLock<Surfaces>,
@@ -36,12 +37,13 @@ pub struct Triangles<'a> {
 }
 
 impl<'a> Triangles<'a> {
-    /// Prepares opaque triangles, in the order of their ids. The closed surfaces are found on first use.
+    /// Creates the index of opaque triangles, in the order of their ids. Finds the closed surfaces on first
+    /// use.
     pub fn new(all: &'a [[Vec3; 3]]) -> Self {
         Self::with_kinds(all, Kinds::default())
     }
 
-    /// Prepares triangles of some kinds.
+    /// Creates the index of triangles of the given kinds.
     pub fn with_kinds(all: &'a [[Vec3; 3]], kinds: Kinds<'a>) -> Self {
         let blocks = |t: u32| Kinds::has(kinds.blocks, t);
         let ids: Vec<u32> = (0..all.len() as u32).filter(|t| blocks(*t)).collect();
@@ -60,27 +62,27 @@ impl<'a> Triangles<'a> {
         }
     }
 
-    /// The triangles, in the order of their ids.
+    /// Returns the triangles, in the order of their ids.
     pub fn all(&self) -> &'a [[Vec3; 3]] {
         self.all
     }
 
-    /// The triangles, in the order of their ids, with an area only where they block.
+    /// Returns the triangles in the order of their ids, where only blocking triangles have an area.
     pub(super) fn blocking(&self) -> &[[Vec3; 3]] {
         &self.blocking
     }
 
-    /// Whether a triangle can be in a visibility set, if it has an area.
+    /// Returns true if a triangle can be in a visibility set, provided that it has an area.
     pub(super) fn shows(&self, triangle: u32) -> bool {
         Kinds::has(self.kinds.shows, triangle)
     }
 
-    /// The blocking triangles in a tree of boxes.
+    /// Returns the tree of boxes of the blocking triangles.
     pub(super) fn tree(&self) -> &TriangleTree<'a> {
         &self.tree
     }
 
-    /// The surfaces that the blocking triangles form.
+    /// Returns the surfaces that the blocking triangles form.
     pub(super) fn surfaces(&self) -> &Surfaces {
         self.surfaces.get_or_init(|| Surfaces::new(&self.blocking))
     }

@@ -1,14 +1,15 @@
 //! Vectors of line space with their leading bits, which decide the sign of most Klein forms that are not 0.
 //!
 //! The leading bits are integers of fixed width. The truncation error of a component is less than one unit of
-//! the last bit kept, which bounds the error of a sum of products. A sign within that bound is decided with
-//! all digits.
+//! the last stored bit, which bounds the error of a sum of products. If the sum is within that bound of 0,
+//! the exact integers decide the sign.
 
 use std::cmp::Ordering;
 
 use super::geometry::{Line, klein, sign};
 
-/// Bits kept of the longest component; a sum of six products of two such numbers fits an `i128`.
+/// The number of stored bits of the longest component. A sum of six products of two such numbers fits in an
+/// `i128`.
 const KEPT: usize = 60;
 
 /// A vector, and its components in units of a common power of two, rounded down.
@@ -21,7 +22,7 @@ pub struct Vector {
 }
 
 impl Vector {
-    /// Computes the leading bits.
+    /// Creates a vector and computes its leading bits.
     pub fn new(line: Line) -> Self {
         let longest = line
             .iter()
@@ -41,17 +42,17 @@ impl Vector {
         }
     }
 
-    /// The exact vector.
+    /// Returns the exact vector.
     pub fn line(&self) -> &Line {
         &self.line
     }
 
-    /// The sign of the Klein form with another vector.
+    /// Returns the sign of the Klein form with another vector.
     pub fn side(&self, other: &Self) -> Ordering {
         let near: i128 = (0..6)
             .map(|i| i128::from(self.leading[i]) * i128::from(other.leading[(i + 3) % 6]))
             .sum();
-        // (a + d)(b + e) is within |a| + |b| + 1 of ab, for d and e less than 1.
+        // For d and e less than 1, (a + d)(b + e) differs from ab by at most |a| + |b| + 1.
         if near.abs() >= self.size + other.size + 6 {
             near.cmp(&0)
         } else {
@@ -85,7 +86,7 @@ mod tests {
                 Ok(())
             };
             check(&a, &b)?;
-            // A vector with form 0, (a·y) x − (a·x) y, and neighbours of it.
+            // Test a vector with form 0, (a·y) x − (a·x) y, and its neighbours.
             let others: [IBig; 6] = std::array::from_fn(|i| b[(i + 1) % 6].clone());
             let (x, y) = (klein(&a, &b), klein(&a, &others));
             b = std::array::from_fn(|i| &b[i] * &y - &others[i] * &x);

@@ -13,13 +13,14 @@ use super::triangles::Triangles;
 use super::{Corners, Refusal};
 use crate::certificate::{Witness, faces};
 
-/// Accepts the segment from `p` to `q` as a witness that a polygon of `b` is visible from a polygon of `a`.
+/// Checks that the segment from `p` to `q` shows that a polygon of `b` is visible from a polygon of `a`.
 ///
-/// Each end must be strictly inside a polygon. No triangle may have a point on the segment, except one in the
-/// plane of such a polygon that touches the end there. Then all segments near this one are unobstructed too.
+/// Each end must be strictly inside a polygon. No triangle may have a point on the segment, except a triangle
+/// in the plane of such a polygon that touches the end there. Then all segments near this one are
+/// unobstructed, too.
 ///
 /// # Errors
-/// [`Refusal::Witness`], or [`Refusal::Polygon`] for a polygon that is not valid.
+/// [`Refusal::Witness`] if the segment is not a witness. [`Refusal::Polygon`] if a polygon is not valid.
 pub fn check_witness(
     scene: &[[Vec3; 3]],
     a: &[Corners],
@@ -31,7 +32,7 @@ pub fn check_witness(
     check_polygons(b)?;
     if [p, q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
         return Err(Refusal::Witness(
-            "an end of the witness has no positive weight".to_owned(),
+            "an end point of the witness does not have w > 0".to_owned(),
         ));
     }
     let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
@@ -64,7 +65,7 @@ pub fn check_witness(
     Ok(())
 }
 
-/// Accepts a witness that a triangle is visible from a cell, or says why it fails.
+/// Checks a witness that a triangle is visible from a cell. Returns the reason if the witness fails.
 pub(super) fn check_cell_witness(
     scene: &Triangles<'_>,
     cell: Aabb,
@@ -78,7 +79,7 @@ pub(super) fn check_cell_witness(
             let [p, q] = [p, q].map(|e| point(e.as_dvec3().to_array()));
             let sides = [sign(&height(&own, &p)), sign(&height(&own, &q))];
             if sides[0] == Ordering::Equal || sides[0] != sides[1].reverse() {
-                return Err("it does not cross the plane of the triangle".to_owned());
+                return Err("the segment does not cross the plane of the triangle".to_owned());
             }
             let at = cut(&p, &q, &own);
             (p, at)
@@ -86,25 +87,25 @@ pub(super) fn check_cell_witness(
         Witness::Exact(ends) => (**ends).clone().into(),
     };
     if [&p, &q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
-        return Err("an end has no positive weight".to_owned());
+        return Err("an end point of the segment does not have w > 0".to_owned());
     }
     let outside = |(axis, up)| sign(&height(&face_plane(cell, axis, up), &p)) == Ordering::Greater;
     if faces().any(outside) {
-        return Err("it does not start in the cell".to_owned());
+        return Err("the segment does not start in the cell".to_owned());
     }
     if height(&own, &p).is_zero() {
-        return Err("it lies in the plane of the triangle".to_owned());
+        return Err("the segment lies in the plane of the triangle".to_owned());
     }
     if !inside(&corners, &q) {
-        return Err("it does not end inside the triangle".to_owned());
+        return Err("the segment does not end inside the triangle".to_owned());
     }
-    // The face that it leaves the cell through, if it starts on one.
+    // The face through which the witness leaves the cell, if it starts on a face.
     let leaving = faces()
         .map(|(axis, up)| face_plane(cell, axis, up))
         .find(|f| height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater);
     let bounds = |e: &Point| -> Aabb {
         let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
-        // Rounding from double to single precision moves a number by less than one step.
+        // Rounding from double to single precision moves a number by less than one unit in the last place.
         let low = |x: f64| (x as f32).next_down();
         let high = |x: f64| (x as f32).next_up();
         let [x, y, z] = sides;
@@ -120,13 +121,14 @@ pub(super) fn check_cell_witness(
             &q,
             [leaving.as_ref(), Some(&own)],
         ) {
-            return Err(format!("it meets triangle {other}"));
+            return Err(format!("the segment meets triangle {other}"));
         }
     }
     Ok(())
 }
 
-/// Two doubles with x/w between them, confirmed in integers; infinite if none is found nearby. w > 0.
+/// Returns two doubles with x/w between them, confirmed in integers. Returns −∞ and ∞ if the function finds
+/// no such doubles near x/w. Requires w > 0.
 pub(super) fn around(x: &IBig, w: &IBig) -> (f64, f64) {
     let near = x.to_f64().value() / w.to_f64().value();
     let (mut low, mut high) = (near, near);
@@ -142,8 +144,8 @@ pub(super) fn around(x: &IBig, w: &IBig) -> (f64, f64) {
     (f64::NEG_INFINITY, f64::INFINITY)
 }
 
-/// Whether a triangle with area has a point on the segment. A triangle in one of the `planes` that touches
-/// the segment at that end only (first plane: `p`, second plane: `q`) does not count.
+/// Returns true if a triangle with area has a point on the segment. A triangle in one of the `planes` that
+/// touches the segment only at that end (first plane: `p`, second plane: `q`) does not count.
 pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>; 2]) -> bool {
     let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
     let own = plane([&a, &b, &c]);
@@ -186,7 +188,7 @@ pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>
             .map(side)
             .find(|s| *s != Ordering::Equal)
             .unwrap_or(Ordering::Equal);
-        // Either side of the segment itself will do.
+        // For the line along the segment itself, either side suffices.
         let keeps_off = |wanted: Ordering| others.iter().all(|v| side(v) == wanted);
         match inner {
             Ordering::Equal => keeps_off(Ordering::Less) || keeps_off(Ordering::Greater),
@@ -209,7 +211,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_quotient_lies_between_its_bounds(x in any::<i64>(), w in 1..i64::MAX, up in 0usize..200) {
+        fn quotient_lies_between_bounds(x in any::<i64>(), w in 1..i64::MAX, up in 0usize..200) {
             let (x, w) = (IBig::from(x) << up, IBig::from(w) << (up / 2));
             let (low, high) = around(&x, &w);
             prop_assert!(low < high && low.is_finite() && high.is_finite());
@@ -219,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quotient_beyond_doubles_has_infinite_bounds() {
+    fn quotient_beyond_doubles_has_infinite_bounds() {
         let huge = IBig::ONE << 2000;
         assert_eq!(
             around(&huge, &IBig::ONE),

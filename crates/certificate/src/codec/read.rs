@@ -1,4 +1,4 @@
-//! The decoder.
+//! The decoder of certificates.
 
 use std::io::Read as _;
 
@@ -11,9 +11,10 @@ use super::{APART, CodecError, MAX_BYTES, MAX_MEMORY};
 use crate::certificate::{
     CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness,
 };
-use crate::proof::{OccluderTriangle, Proof, Step, Which};
+use crate::proof::{OccluderTriangle, Proof, QueryPolygon, Step};
 
-/// Decodes what [`encode`](super::encode) wrote, for a scene of the given number of triangles.
+/// Decodes the bytes that [`encode`](super::encode) returned. `triangles` is the number of triangles of the
+/// scene.
 ///
 /// # Errors
 /// [`CodecError`] if the bytes are not the compressed encoding of a certificate.
@@ -21,14 +22,14 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<CellCertificate, CodecErro
     let mut raw = Vec::new();
     zstd::stream::Decoder::new(bytes)
         .and_then(|d| d.take(MAX_BYTES + 1).read_to_end(&mut raw))
-        .map_err(|_| CodecError("zstd cannot decompress it"))?;
+        .map_err(|_| CodecError("zstd cannot decompress the bytes"))?;
     if raw.len() as u64 > MAX_BYTES {
-        return Err(CodecError("it has more than 256 MiB before compression"));
+        return Err(CodecError("the uncompressed size exceeds 256 MiB"));
     }
     decode_raw(&raw, triangles)
 }
 
-/// As [`decode`], from bytes without compression.
+/// Decodes a certificate like [`decode`], from bytes without compression.
 ///
 /// # Errors
 /// [`CodecError`] if the bytes are not the encoding of a certificate.
@@ -44,11 +45,13 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
         from.take::<(u32, Witness)>()?;
         let step = from.small()?;
         if k > 0 && step == 0 {
-            return Err(CodecError("the triangles with witnesses are not ascending"));
+            return Err(CodecError(
+                "the ids of triangles with witnesses are not in ascending order",
+            ));
         }
-        last = last
-            .checked_add(step)
-            .ok_or(CodecError("a triangle id is out of range"))?;
+        last = last.checked_add(step).ok_or(CodecError(
+            "a triangle id is not below the number of triangles of the scene",
+        ))?;
         let witness = match from.byte()? {
             0 => Witness::Floats([from.point()?, from.point()?]),
             1 => {
@@ -63,7 +66,7 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
                 };
                 Witness::Exact(Box::new([next()?, next()?]))
             }
-            _ => return Err(CodecError("the kind of a witness is unknown")),
+            _ => return Err(CodecError("the kind of a witness is neither 0 nor 1")),
         };
         certificate.seen.push((from.id(last)?, witness));
     }
@@ -73,7 +76,10 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
         let apart = number >= APART;
         certificate.above = match if apart { number - APART } else { number } {
             0 => None,
-            next => Some(u32::try_from(next - 1).map_err(|_| CodecError("a number is too large"))?),
+            next => Some(
+                u32::try_from(next - 1)
+                    .map_err(|_| CodecError("the offset to an earlier cell exceeds 32 bits"))?,
+            ),
         };
         let shared = match apart {
             false => !from.rest.is_empty(),
@@ -82,7 +88,7 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
                 1 => true,
                 _ => {
                     return Err(CodecError(
-                        "it neither has nor lacks the certificate of a box",
+                        "the flag for a cell group's certificate is neither 0 nor 1",
                     ));
                 }
             },
@@ -97,7 +103,9 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
                 hidden: from.hidden()?,
             };
             if shared.hidden.is_empty() {
-                return Err(CodecError("the certificate of a box has no group"));
+                return Err(CodecError(
+                    "the certificate of a cell group contains no hidden triangles",
+                ));
             }
             certificate.shared = Some(shared);
         }
@@ -118,20 +126,24 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
             }
         }
         if !apart && certificate.shared.is_none() && certificate.above.is_none() {
-            return Err(CodecError("the part about a cell group is empty"));
+            return Err(CodecError(
+                "the section about a cell group is present but empty",
+            ));
         }
     }
     if from.rest.is_empty() {
         Ok(certificate)
     } else {
-        Err(CodecError("bytes follow the end"))
+        Err(CodecError(
+            "additional bytes follow the end of the certificate",
+        ))
     }
 }
 
 struct Reader<'a> {
     rest: &'a [u8],
     triangles: u32,
-    /// Bytes of memory that the decoded values may still take.
+    /// The number of bytes of memory that the decoded values may still use.
     memory: usize,
 }
 
@@ -140,7 +152,7 @@ impl Reader<'_> {
         let (first, rest) = self
             .rest
             .split_first()
-            .ok_or(CodecError("it ends too early"))?;
+            .ok_or(CodecError("the bytes end too early"))?;
         self.rest = rest;
         Ok(*first)
     }
@@ -149,37 +161,40 @@ impl Reader<'_> {
         let (first, rest) = self
             .rest
             .split_first_chunk()
-            .ok_or(CodecError("it ends too early"))?;
+            .ok_or(CodecError("the bytes end too early"))?;
         self.rest = rest;
         Ok(*first)
     }
 
     fn number(&mut self) -> Result<u64, CodecError> {
-        // Nine bytes hold 63 bits. Each number has one form.
+        // Nine bytes contain 63 bits. Each number has only one form.
         varint::read_shortest(&mut self.rest, 9).map_err(|e| match e {
-            VarintError::CutShort => CodecError("it ends too early"),
-            VarintError::NotShortest => CodecError("a number has more bytes than it needs"),
-            VarintError::TooLarge | VarintError::TooLong => CodecError("a number is too large"),
+            VarintError::CutShort => CodecError("the bytes end too early"),
+            VarintError::NotShortest => CodecError("a number is not in its shortest encoding"),
+            VarintError::TooLarge | VarintError::TooLong => CodecError("a number exceeds 63 bits"),
         })
     }
 
     fn small<T: TryFrom<u64>>(&mut self) -> Result<T, CodecError> {
-        T::try_from(self.number()?).map_err(|_| CodecError("a number is too large"))
+        T::try_from(self.number()?)
+            .map_err(|_| CodecError("a number exceeds the range of its field"))
     }
 
-    /// Accounts for the memory of one more value.
+    /// Subtracts the memory of one more value from the budget.
     fn take<T>(&mut self) -> Result<(), CodecError> {
         let left = self.memory.checked_sub(size_of::<T>());
-        self.memory = left.ok_or(CodecError("it would take more than 4 GiB of memory"))?;
+        self.memory = left.ok_or(CodecError(
+            "the decoded certificate needs more than 4 GiB of memory",
+        ))?;
         Ok(())
     }
 
-    /// A count of values of at least `least` bytes each; that many bytes must be left.
+    /// Reads a count of values with at least `least` bytes each, and checks that enough bytes remain.
     fn count(&mut self, least: usize) -> Result<usize, CodecError> {
         let n: usize = self.small()?;
         if n > self.rest.len() / least {
             return Err(CodecError(
-                "a count is larger than the bytes that follow allow",
+                "a count exceeds the number of values that the remaining bytes can contain",
             ));
         }
         Ok(n)
@@ -189,7 +204,9 @@ impl Reader<'_> {
         if id < self.triangles {
             Ok(id)
         } else {
-            Err(CodecError("a triangle id is out of range"))
+            Err(CodecError(
+                "a triangle id is not below the number of triangles of the scene",
+            ))
         }
     }
 
@@ -199,21 +216,22 @@ impl Reader<'_> {
         if p.is_finite() {
             Ok(p)
         } else {
-            Err(CodecError("a point is not finite"))
+            Err(CodecError("a coordinate is not finite"))
         }
     }
 
     fn integer(&mut self) -> Result<IBig, CodecError> {
         let head = self.number()?;
-        let length = usize::try_from(head >> 1).map_err(|_| CodecError("a number is too large"))?;
+        let length =
+            usize::try_from(head >> 1).map_err(|_| CodecError("an integer is too long"))?;
         let (bytes, rest) = self
             .rest
             .split_at_checked(length)
-            .ok_or(CodecError("it ends too early"))?;
+            .ok_or(CodecError("the bytes end too early"))?;
         self.rest = rest;
         let canonical = bytes.last().map_or(head & 1 == 0, |b| *b != 0);
         if !canonical {
-            return Err(CodecError("a number has more bytes than it needs"));
+            return Err(CodecError("a number is not in its shortest encoding"));
         }
         let size = IBig::from(dashu_int::UBig::from_le_bytes(bytes));
         Ok(if head & 1 == 1 { -size } else { size })
@@ -226,11 +244,13 @@ impl Reader<'_> {
                 self.take::<u32>()?;
                 let step: u32 = self.small()?;
                 if k > 0 && step == 0 {
-                    return Err(CodecError("triangle ids are not ascending"));
+                    return Err(CodecError(
+                        "the triangle ids of a hidden group are not in ascending order",
+                    ));
                 }
-                last = last
-                    .checked_add(step)
-                    .ok_or(CodecError("a triangle id is out of range"))?;
+                last = last.checked_add(step).ok_or(CodecError(
+                    "a triangle id is not below the number of triangles of the scene",
+                ))?;
                 self.id(last)
             })
             .collect()
@@ -256,11 +276,11 @@ impl Reader<'_> {
                     });
                     Target::Polygon(corners.collect::<Result<_, _>>()?)
                 }
-                _ => return Err(CodecError("the kind of a target is unknown")),
+                _ => return Err(CodecError("the kind of a target is not in 0 to 4")),
             };
             let triangles = self.ids()?;
             if triangles.is_empty() {
-                return Err(CodecError("a group has no triangles"));
+                return Err(CodecError("a hidden group contains no triangles"));
             }
             let proofs = self.proofs()?;
             all.push(HiddenGroup {
@@ -286,14 +306,18 @@ impl Reader<'_> {
             for _ in 0..self.count(1)? {
                 self.take::<OccluderTriangle>()?;
                 let x = self.number()?;
-                let d = i64::try_from(x >> 2)
-                    .map_err(|_| CodecError("a triangle id is out of range"))?;
+                let d = i64::try_from(x >> 2).map_err(|_| {
+                    CodecError("a triangle id is not below the number of triangles of the scene")
+                })?;
                 if d == 0 && x & 2 != 0 {
-                    return Err(CodecError("a difference of 0 has a sign"));
+                    return Err(CodecError(
+                        "a difference of triangle ids is 0 but has a minus sign",
+                    ));
                 }
                 last = last.saturating_add(if x & 2 == 0 { d } else { -d });
-                let id =
-                    u32::try_from(last).map_err(|_| CodecError("a triangle id is out of range"))?;
+                let id = u32::try_from(last).map_err(|_| {
+                    CodecError("a triangle id is not below the number of triangles of the scene")
+                })?;
                 members.push(OccluderTriangle {
                     triangle: self.id(id)?,
                     reversed: x & 1 == 1,
@@ -308,7 +332,7 @@ impl Reader<'_> {
                 (0, 0) => Step::Unreal,
                 (kind @ (1 | 2), occluder) => Step::Block {
                     occluder: u32::try_from(occluder)
-                        .map_err(|_| CodecError("the number of an occluder is too large"))?,
+                        .map_err(|_| CodecError("the index of an occluder exceeds 32 bits"))?,
                     negative: kind == 2,
                     cuts: (0..self.count(1)?)
                         .map(|_| self.take::<u16>().and_then(|()| self.small()))
@@ -324,12 +348,16 @@ impl Reader<'_> {
                 }
                 (3, 1) => {
                     let which = match self.byte()? {
-                        0 => Which::A,
-                        1 => Which::B,
-                        _ => return Err(CodecError("the kind of a step is unknown")),
+                        0 => QueryPolygon::A,
+                        1 => QueryPolygon::B,
+                        _ => {
+                            return Err(CodecError(
+                                "the polygon of a division step is neither 0 nor 1",
+                            ));
+                        }
                     };
                     Step::Divide {
-                        of: which,
+                        polygon: which,
                         from: self.small()?,
                         to: self.small()?,
                     }

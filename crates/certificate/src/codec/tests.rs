@@ -1,4 +1,4 @@
-//! Round trips, damage, and arbitrary bytes.
+//! Tests of round trips, damage, and arbitrary bytes.
 
 use dashu_int::IBig;
 use glam::Vec3;
@@ -9,7 +9,7 @@ use super::{decode, encode};
 use crate::certificate::{
     CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness,
 };
-use crate::proof::{OccluderTriangle, Proof, Step, Which};
+use crate::proof::{OccluderTriangle, Proof, QueryPolygon, Step};
 
 fn integer() -> impl Strategy<Value = IBig> {
     (any::<i64>(), 0usize..300).prop_map(|(x, up)| IBig::from(x) << up)
@@ -36,7 +36,7 @@ fn proof() -> impl Strategy<Value = Proof> {
             polar: Box::new(polar)
         }),
         (any::<bool>(), any::<u16>(), any::<u16>()).prop_map(|(b, from, to)| Step::Divide {
-            of: if b { Which::B } else { Which::A },
+            polygon: if b { QueryPolygon::B } else { QueryPolygon::A },
             from,
             to
         }),
@@ -101,13 +101,13 @@ prop_compose! {
 
 proptest! {
     #[test]
-    fn encoding_then_decoding_gives_the_same(e in certificate()) {
+    fn certificates_round_trip(e in certificate()) {
         let bytes = encode(&e).unwrap();
         prop_assert_eq!(decode(&bytes, 1000).unwrap(), e);
     }
 
     #[test]
-    fn damaged_bytes_are_refused_or_canonical(
+    fn damaged_bytes_are_rejected_or_canonical(
         e in certificate(),
         at in any::<usize>(),
         value in 1u8..,
@@ -118,14 +118,14 @@ proptest! {
         raw[at] ^= value;
         raw.truncate(raw.len() - cut);
         if let Ok(other) = decode(&zstd::stream::encode_all(raw.as_slice(), 1).unwrap(), 1000) {
-            // The encoding is canonical: accepted bytes are those that the encoder writes.
+            // The encoding is canonical: the encoder writes all accepted bytes.
             let again = zstd::stream::decode_all(encode(&other).unwrap().as_slice()).unwrap();
             prop_assert_eq!(again, raw);
         }
     }
 
     #[test]
-    fn no_bytes_make_the_decoder_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn decoder_does_not_panic_on_random_bytes(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let _ = decode(&bytes, 1000);
         let _ = decode(&zstd::stream::encode_all(bytes.as_slice(), 1).unwrap(), 1000);
     }

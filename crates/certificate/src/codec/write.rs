@@ -1,4 +1,4 @@
-//! The encoder.
+//! The encoder of certificates.
 
 use dashu_int::{IBig, Sign};
 use glam::Vec3;
@@ -6,12 +6,12 @@ use sightline_numbers::varint::write as put;
 
 use super::{APART, LEVEL, MAX_BYTES};
 use crate::certificate::{CellCertificate, HiddenGroup, Target, Witness};
-use crate::proof::{OccluderTriangle, Proof, Step, Which};
+use crate::proof::{OccluderTriangle, Proof, QueryPolygon, Step};
 
 /// Encodes and compresses a certificate.
 ///
 /// # Errors
-/// If the certificate has more than 256 MiB before compression, or zstd fails.
+/// An error if the certificate has more than 256 MiB before compression, or if zstd fails.
 pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
     let mut out = Vec::new();
     put(&mut out, certificate.seen.len() as u64);
@@ -31,7 +31,7 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
         }
     }
     put_hidden(&mut out, &certificate.hidden);
-    // The certificate of a cell that is in no group, and from which no box is hidden, ends here.
+    // If the cell is in no cell group and the certificate has no hidden boxes, the certificate ends here.
     let above = certificate.above.map_or(0, |back| u64::from(back) + 1);
     if !certificate.apart.is_empty() {
         put(&mut out, above + APART);
@@ -45,13 +45,17 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
             put_hidden(&mut out, &shared.hidden);
         }
         put(&mut out, certificate.apart.len() as u64);
-        for of in &certificate.apart {
-            of.bounds
+        for hidden_box in &certificate.apart {
+            hidden_box
+                .bounds
                 .corners()
                 .iter()
                 .for_each(|c| put_point(&mut out, *c));
-            put(&mut out, of.proofs.len() as u64);
-            of.proofs.iter().for_each(|p| put_proof(&mut out, p));
+            put(&mut out, hidden_box.proofs.len() as u64);
+            hidden_box
+                .proofs
+                .iter()
+                .for_each(|p| put_proof(&mut out, p));
         }
     } else if certificate.shared.is_some() || certificate.above.is_some() {
         put(&mut out, above);
@@ -66,7 +70,7 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
     }
     if out.len() as u64 > MAX_BYTES {
         return Err(std::io::Error::other(
-            "the certificate of a cell is larger than 256 MiB; bake smaller cells or smaller groups \
+            "the uncompressed certificate of a cell exceeds 256 MiB; bake smaller cells or smaller groups \
              (--block-cells)",
         ));
     }
@@ -112,7 +116,7 @@ fn put_integer(out: &mut Vec<u8>, x: &IBig) {
     out.extend_from_slice(&bytes);
 }
 
-/// The number of ids, the first id, and the differences of the following ids, each at least 1.
+/// Writes the number of ids, the first id, and the differences of the following ids, each at least 1.
 fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
     put(out, ids.len() as u64);
     let mut last = 0;
@@ -132,7 +136,8 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
             reversed,
         } in occluder
         {
-            // Difference to the previous id, its sign, and the winding: one byte for neighbouring ids.
+            // Store the difference to the previous id, its sign, and the winding: one byte for neighbouring
+            // ids.
             let d = i64::from(*id) - last;
             last = i64::from(*id);
             put(
@@ -150,7 +155,8 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
                 negative,
                 cuts,
             } => {
-                // The low two bits are the kind: 1 or 2 for a block, by side.
+                // The low two bits are the kind of the step: 1 for a block on the positive side, and 2 for a
+                // block on the negative side.
                 put(
                     out,
                     (u64::from(*occluder) << 2) | (1 + u64::from(*negative)),
@@ -159,14 +165,18 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
                 cuts.iter().for_each(|c| put(out, u64::from(*c)));
             }
             Step::Split { polar } => {
-                // 11 is kind 3 with number 2. (3, kind 3 with number 0, was a polar in doubles; it is no
-                // longer valid.)
+                // The value 11 is kind 3 with number 2. (The value 3, kind 3 with number 0, was a polar in
+                // doubles and is no longer valid.)
                 out.push(11);
                 polar.iter().for_each(|c| put_integer(out, c));
             }
-            Step::Divide { of, from, to } => {
+            Step::Divide {
+                polygon: of,
+                from,
+                to,
+            } => {
                 out.push(7);
-                out.push(u8::from(*of == Which::B));
+                out.push(u8::from(*of == QueryPolygon::B));
                 put(out, u64::from(*from));
                 put(out, u64::from(*to));
             }

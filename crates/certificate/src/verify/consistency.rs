@@ -1,4 +1,4 @@
-//! Whether the statements of a result about itself, which no certificate covers, agree with its contents.
+//! The check that the statements of a result about itself, which no certificate covers, match its contents.
 
 use super::{BakedResult, NOT_REACHED, SET_ASIDE};
 
@@ -31,18 +31,21 @@ fn stated_grid(task: &serde_json::Value) -> Option<&serde_json::Value> {
         .find(|grid| grid.is_object())
 }
 
-/// Checks method, number of cells, and flags; a message about the first contradiction.
+/// Checks the method, the number of cells, and the flags of a result. Returns a message about the first
+/// contradiction.
 pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
     let parameters: serde_json::Value = serde_json::from_str(result.parameters())
-        .map_err(|e| format!("its parameters are not valid JSON: {e}"))?;
+        .map_err(|e| format!("the result's parameters are not valid JSON: {e}"))?;
     let method = result.method();
     if !METHODS.contains(&method) {
-        return Err(format!("{method:?} is no method that has certificates"));
+        return Err(format!(
+            "the method {method:?} has no certificates; only exact and verified have them"
+        ));
     }
     let task = &parameters["spec"]["visibility"];
     if let Some(stated) = stated_method(task).filter(|stated| *stated != method) {
         return Err(format!(
-            "its method is {method}, and {stated} in its parameters"
+            "the result states the method {method}, but its parameters state {stated}"
         ));
     }
     if let Some(grid) = stated_grid(task) {
@@ -53,7 +56,7 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
         if cells != Some(u64::from(result.cell_count())) {
             let [x, y, z] = ["x", "y", "z"].map(|side| grid[side].to_string());
             return Err(format!(
-                "its parameters say {x}x{y}x{z} cells, and it has {}",
+                "the result's parameters state {x}x{y}x{z} cells, but the result has {}",
                 result.cell_count()
             ));
         }
@@ -64,20 +67,20 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
         reached += u64::from(flags & NOT_REACHED == 0);
         if flags & !(SET_ASIDE | NOT_REACHED) != 0 {
             return Err(format!(
-                "cell {cell} has flags {flags:#x} with an unknown bit"
+                "cell {cell} has flags {flags:#x}, but only the bits 0x1 and 0x2 are defined"
             ));
         }
     }
-    // Nothing is claimed about a cell that no viewpoint reaches, so the parameters have to say how many
-    // these are.
+    // A cell without viewpoints makes no claims about triangles, so the parameters must state the number of
+    // cells with viewpoints.
     let expected = match &parameters["viewpoints"] {
         serde_json::Value::Null => Some(u64::from(result.cell_count())),
         given => given["cells_reached"].as_u64(),
     };
     if expected != Some(reached) {
         return Err(format!(
-            "viewpoints are in {reached} of its cells by their flags, and in {} by its parameters",
-            expected.map_or("an unknown number".to_owned(), |n| n.to_string())
+            "the flags mark {reached} cells with viewpoints, but the result's parameters state {}",
+            expected.map_or("no valid number".to_owned(), |n| n.to_string())
         ));
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! `.pvs` files as results to verify.
+//! The implementation of [`BakedResult`] for `.pvs` files.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;

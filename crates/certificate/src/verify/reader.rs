@@ -1,4 +1,5 @@
-//! Reads the certificates of a cell: its own, and that of the cell group whose box contains it.
+//! Reader of the certificates of a cell: the cell's own certificate, and the certificate of the cell group
+//! whose box contains the cell.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,24 +9,25 @@ use crate::codec;
 
 /// The certificates that the set of one cell relies on.
 pub struct Certificates {
-    /// The cell's own certificate.
+    /// The certificate that the cell itself stores.
     pub own: CellCertificate,
-    /// The certificate of the box around the cell, if there is one, and the cell that stores it.
+    /// The certificate of the box around the cell and the cell that stores this certificate; `None` if the
+    /// cell relies on no such certificate.
     above: Option<(u32, Arc<GroupCertificate>)>,
 }
 
-/// Why the certificates of a cell cannot be read.
+/// The reason why the certificates of a cell cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct ReadError(String);
 
-/// Reads certificates, and caches the last certificate of a cell group: the cells that rely on one follow
-/// each other.
+/// A reader of certificates with a cache of the last certificate of a cell group. One entry suffices, because
+/// the cells that rely on one certificate follow each other.
 #[derive(Default)]
 pub struct CertificateReader(Mutex<Option<(u32, Arc<GroupCertificate>)>>);
 
 impl CertificateReader {
-    /// The certificates of a cell; `None` for a result without certificates.
+    /// Reads the certificates of a cell. Returns `None` for a result without certificates.
     ///
     /// # Errors
     /// [`ReadError`] if the bytes are not valid, or the cell refers to a certificate that does not exist.
@@ -41,7 +43,7 @@ impl CertificateReader {
             None => None,
             Some(back) => {
                 let keeper = cell.checked_sub(back).ok_or_else(|| {
-                    ReadError("it relies on certificates of a cell before the first".to_owned())
+                    ReadError("the cell relies on a certificate of a cell before cell 0".to_owned())
                 })?;
                 Some((keeper, self.group(result, keeper)?))
             }
@@ -49,8 +51,8 @@ impl CertificateReader {
         Ok(Some(Certificates { own, above }))
     }
 
-    /// The certificate of a cell group that a cell stores. The lock is held while one thread decodes it, so
-    /// that the others wait for it instead of decoding it again.
+    /// Reads the certificate of a cell group that a cell stores. A thread holds the lock while it decodes the
+    /// certificate, so that the other threads wait for it instead of decoding it again.
     fn group(
         &self,
         result: &dyn BakedResult,
@@ -60,14 +62,17 @@ impl CertificateReader {
         if let Some((_, shared)) = last.as_ref().filter(|(cell, _)| *cell == keeper) {
             return Ok(Arc::clone(shared));
         }
-        let certificate = own(result, keeper)
-            .map_err(|e| ReadError(format!("it relies on certificates of cell {keeper}: {e}")))?;
+        let certificate = own(result, keeper).map_err(|e| {
+            ReadError(format!(
+                "the cell relies on a certificate that cell {keeper} stores: {e}"
+            ))
+        })?;
         let shared = certificate
             .and_then(|c| c.shared)
             .map(Arc::new)
             .ok_or_else(|| {
                 ReadError(format!(
-                    "it relies on certificates of cell {keeper}, which stores none for other cells"
+                    "the cell relies on cell {keeper}, which stores no certificate of a cell group"
                 ))
             })?;
         *last = Some((keeper, Arc::clone(&shared)));
@@ -76,17 +81,17 @@ impl CertificateReader {
 }
 
 impl Certificates {
-    /// The certificate of the box around the cell.
+    /// Returns the certificate of the box around the cell.
     pub fn above(&self) -> Option<&GroupCertificate> {
         self.above.as_ref().map(|(_, shared)| &**shared)
     }
 
-    /// The cell that stores it.
+    /// Returns the cell that stores the certificate of the box around the cell.
     pub fn keeper(&self) -> Option<u32> {
         self.above.as_ref().map(|(keeper, _)| *keeper)
     }
 
-    /// All groups of triangles that are hidden from the cell.
+    /// Returns all groups of triangles that are hidden from the cell.
     pub fn hidden(&self) -> impl Iterator<Item = &HiddenGroup> {
         self.own
             .hidden
@@ -94,7 +99,7 @@ impl Certificates {
             .chain(self.above().into_iter().flat_map(|shared| &shared.hidden))
     }
 
-    /// The reason given for one triangle, and the cell group's certificate if the reason is from there.
+    /// Returns the reason for one triangle, and the cell group's certificate if it contains the reason.
     pub fn about(&self, triangle: u32) -> Option<(Reason<'_>, Option<&GroupCertificate>)> {
         if let Some(reason) = self.own.about(triangle) {
             return Some((reason, None));
@@ -109,7 +114,7 @@ impl Certificates {
 fn own(result: &dyn BakedResult, cell: u32) -> Result<Option<CellCertificate>, ReadError> {
     match result.certificate(cell).map_err(ReadError)? {
         None => Ok(None),
-        // A cell that was set aside.
+        // The cell was set aside.
         Some([]) => Ok(Some(CellCertificate::default())),
         Some(bytes) => codec::decode(bytes, result.triangle_count())
             .map(Some)

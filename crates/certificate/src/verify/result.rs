@@ -2,64 +2,66 @@
 
 use sightline_numbers::Aabb;
 
-/// The bit of a cell's flags that says that its bake failed and all triangles are in its set as undecided.
+/// The flag of a cell whose bake failed. All triangles are in its set as undecided.
 pub const SET_ASIDE: u32 = 1;
-/// The bit of a cell's flags that says that no viewpoint is in the cell, so that its set is empty.
+/// The flag of a cell without viewpoints. The set of the cell is empty.
 pub const NOT_REACHED: u32 = 2;
 
-/// A baked result with certificates. Cells are numbered from 0, triangles in the order of the scene.
+/// A baked result with certificates. Cells are numbered from 0, and triangles are in the order of the scene.
 ///
-/// The feature `pvs` implements it for `sightline_pvs::Pvs`. Errors are messages about the stored data.
+/// The feature `pvs` implements this trait for `sightline_pvs::Pvs`. Errors are messages about the stored
+/// data.
 pub trait BakedResult: Sync {
-    /// The name of the method: `exact` and `verified` results have certificates.
+    /// Returns the name of the method. Results of the methods `exact` and `verified` have certificates.
     fn method(&self) -> &str;
 
-    /// The parameters of the bake as JSON; an empty object if there are none.
+    /// Returns the parameters of the bake as JSON, or an empty object without parameters.
     fn parameters(&self) -> &str {
         "{}"
     }
 
-    /// The number of cells.
+    /// Returns the number of cells.
     fn cell_count(&self) -> u32;
 
-    /// The number of triangles of the scene.
+    /// Returns the number of triangles of the scene.
     fn triangle_count(&self) -> u32;
 
-    /// Least and greatest corner of a cell, in scene coordinates; `None` if there is no such cell.
+    /// Returns the lowest and highest corner of a cell in scene coordinates, or `None` if the cell does not
+    /// exist.
     fn cell_bounds(&self, cell: u32) -> Option<Aabb>;
 
-    /// The visibility set of a cell with its undecided triangles, ascending.
+    /// Returns the visibility set of a cell including its undecided triangles, ascending.
     ///
     /// # Errors
     /// A message if the set cannot be decoded.
     fn visible(&self, cell: u32) -> Result<Vec<u32>, String>;
 
-    /// The undecided triangles of a cell, ascending.
+    /// Returns the undecided triangles of a cell, ascending.
     ///
     /// # Errors
     /// A message if the set cannot be decoded.
     fn undecided(&self, cell: u32) -> Result<Vec<u32>, String>;
 
-    /// The bytes of a cell's certificate ([`crate::codec`]), empty for a cell that was set aside; `None` for
-    /// a result without certificates.
+    /// Returns the bytes of a cell's certificate ([`crate::codec`]), which are empty for a cell that was set
+    /// aside. Returns `None` for a result without certificates.
     ///
     /// # Errors
-    /// A message if there is no such cell.
+    /// A message if the cell does not exist.
     fn certificate(&self, cell: u32) -> Result<Option<&[u8]>, String>;
 
-    /// The cells that a cell sees, ascending, with the undecided ones; `None` for a result that does not say
-    /// which cells see which.
+    /// Returns the cells that a cell sees, ascending, including the cells for which this is undecided.
+    /// Returns `None` for a result without cell-to-cell relations.
     ///
     /// # Errors
-    /// A message if there is no such cell.
+    /// A message if the cell does not exist.
     fn seen_cells(&self, _cell: u32) -> Result<Option<Vec<u32>>, String> {
         Ok(None)
     }
 
-    /// The flags of a cell: [`SET_ASIDE`], [`NOT_REACHED`] or 0.
+    /// Returns the flags of a cell: [`SET_ASIDE`], [`NOT_REACHED`] or 0.
     ///
     /// # Errors
-    /// A message if there is no such cell.
+    /// A message if the cell does not exist.
     fn flags(&self, _cell: u32) -> Result<u32, String> {
         Ok(0)
     }

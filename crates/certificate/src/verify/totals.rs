@@ -6,23 +6,23 @@ use sightline_numbers::Aabb;
 
 use crate::certificate::{HiddenGroup, Target};
 
-/// Claims of one kind.
+/// The number of claims of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Count {
-    /// Claims in the result.
+    /// The number of claims in the result.
     pub all: u64,
-    /// Claims that were checked; fewer than `all` for a sample.
+    /// The number of claims that were checked, which is lower than `all` for a sample.
     pub checked: u64,
 }
 
-/// Pairs of cell and hidden triangle, by the kind of their group's target.
+/// The number of pairs of cell and hidden triangle, by the kind of their group's target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Hidden {
-    /// Hidden by the closed surface that the triangle belongs to.
+    /// The number of pairs whose triangle is hidden by the closed surface that it belongs to.
     pub by_surface: u64,
-    /// Hidden together with a box.
+    /// The number of pairs whose triangle is hidden together with a box.
     pub in_boxes: u64,
-    /// Hidden alone or together with a polygon.
+    /// The number of pairs whose triangle is hidden individually or together with a polygon.
     pub alone: u64,
 }
 
@@ -37,32 +37,32 @@ impl Hidden {
         *count += group.triangles.len() as u64;
     }
 
-    /// All hidden pairs.
+    /// Returns the number of all hidden pairs.
     pub fn sum(&self) -> u64 {
         self.by_surface + self.in_boxes + self.alone
     }
 }
 
-/// Everything that a verification counts.
+/// All counts of a verification.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Pairs with a witness.
+    /// The claims that a triangle is visible along a witness.
     pub witnesses: Count,
-    /// Groups of hidden triangles, each with its proofs.
+    /// The claims that a group of triangles is hidden.
     pub certificates: Count,
-    /// Pairs whose triangle meets the cell.
+    /// The claims that a triangle meets the cell.
     pub meeting: Count,
-    /// Pairs that are hidden.
+    /// The pairs whose triangle is hidden from the cell.
     pub hidden: Hidden,
-    /// Pairs that are undecided.
+    /// The number of pairs of cell and undecided triangle.
     pub undecided: u64,
-    /// Boxes around other cells that are hidden from a cell.
+    /// The claims that a box around other cells is hidden from a cell.
     pub apart: Count,
-    /// Pairs of cells that do not see each other.
+    /// The number of pairs of cells that do not see each other.
     pub cells_apart: u64,
-    /// Cells without viewpoints; nothing is claimed about triangles seen from them.
+    /// The number of cells without viewpoints, which make no claims about triangles.
     pub cells_unreached: u64,
-    /// Bytes of the certificates in the result.
+    /// The size of the certificates in the result, in bytes.
     pub bytes: u64,
 }
 
@@ -93,7 +93,8 @@ impl AddAssign for Totals {
 #[derive(Default)]
 pub(super) struct CellTotals {
     pub totals: Totals,
-    /// Groups of a cell group that pairs of a sample rely on: the cell that stores each, and its index there.
+    /// The hidden groups of a cell group's certificate that pairs of a sample rely on. Each entry is the cell
+    /// that stores the certificate, and the index of the hidden group in the certificate.
     pub group_claims: Vec<(u32, usize)>,
     /// The boxes that are hidden from the cell.
     pub apart: Vec<Aabb>,

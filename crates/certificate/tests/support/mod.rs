@@ -1,4 +1,4 @@
-//! The scene of the fuzz target: a cell in front of three parallel walls, and its certificate made by hand.
+//! The scene of the fuzz target: a cell in front of three parallel walls, and its handwritten certificate.
 
 #![allow(dead_code, reason = "each test file uses a part")]
 
@@ -8,15 +8,15 @@ use sightline_certificate::proof::{OccluderTriangle, Proof, Step};
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
 use sightline_numbers::Aabb;
 
-/// The cell.
+/// The bounds of the cell.
 pub const CELL: Aabb = Aabb::new(Vec3::ZERO, Vec3::splat(0.5));
 
-/// The corners of the wall at a height.
+/// Returns the corners of the wall at height `z`.
 pub fn corners(z: f32) -> [Vec3; 4] {
     [[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]].map(|[x, y]| Vec3::new(x, y, z))
 }
 
-/// Two triangles for each of three walls.
+/// Returns the two triangles of each of three walls.
 pub fn triangles() -> Vec<[Vec3; 3]> {
     [1.0, 2.0, 3.0]
         .into_iter()
@@ -27,7 +27,8 @@ pub fn triangles() -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-/// The proofs that the first wall hides a target above it: for all faces of the cell but the lower one.
+/// Returns the proofs that the first wall hides a target above it, for all faces of the cell but the lower
+/// one.
 fn proofs() -> Vec<Proof> {
     let occluder = vec![
         OccluderTriangle {
@@ -53,7 +54,7 @@ fn proofs() -> Vec<Proof> {
     ]
 }
 
-/// The two groups of triangles that the first wall hides.
+/// Returns the two groups of triangles that the first wall hides.
 pub fn hidden() -> Vec<HiddenGroup> {
     let polygon = Target::Polygon(corners(2.0).into());
     let [least, _, greatest, _] = corners(3.0);
@@ -79,7 +80,7 @@ fn seen() -> Vec<(u32, Witness)> {
     vec![(0, float), (1, exact)]
 }
 
-/// A certificate with all its reasons of its own.
+/// Returns a certificate that stores all of its reasons itself.
 pub fn alone() -> CellCertificate {
     CellCertificate {
         seen: seen(),
@@ -88,7 +89,7 @@ pub fn alone() -> CellCertificate {
     }
 }
 
-/// A certificate that shares its hidden groups with later cells.
+/// Returns a certificate that shares its hidden groups with later cells.
 pub fn sharing() -> CellCertificate {
     let shared = GroupCertificate {
         bounds: CELL,
@@ -102,7 +103,7 @@ pub fn sharing() -> CellCertificate {
     }
 }
 
-/// A certificate that relies on the hidden groups of the cell before.
+/// Returns a certificate that relies on the hidden groups of the previous cell.
 pub fn relying() -> CellCertificate {
     CellCertificate {
         seen: seen(),
@@ -111,7 +112,7 @@ pub fn relying() -> CellCertificate {
     }
 }
 
-/// The bytes of a certificate without compression.
+/// Returns the bytes of a certificate without compression.
 pub fn raw(certificate: &CellCertificate) -> Vec<u8> {
     let bytes = sightline_certificate::codec::encode(certificate).unwrap();
     zstd::stream::decode_all(bytes.as_slice()).unwrap()

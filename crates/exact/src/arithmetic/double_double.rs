@@ -1,28 +1,30 @@
-//! Double-doubles: double-doubles whose sum is the value, with about 104 significant bits.
+//! Double-doubles: pairs of doubles whose sum is the value, with about 104 significant bits.
 //!
-//! They decide signs that doubles cannot and that integers decide slowly. Sums and products follow Dekker
-//! 1971 ("A Floating-Point Technique for Extending the Available Precision") and Knuth ("The Art of Computer
-//! Programming", volume 2). Each operation errs by at most 2⁻¹⁰¹ of the magnitudes of its operands, as long
-//! as no intermediate value overflows or underflows.
+//! Double-doubles decide signs that doubles cannot decide and that integers decide slowly. Sums and products
+//! follow Dekker 1971 ("A Floating-Point Technique for Extending the Available Precision") and Knuth ("The
+//! Art of Computer Programming", volume 2). [`STEP`] bounds the error of an operation if no intermediate
+//! value overflows or underflows.
 
 use sightline_geometry::predicates::two_sum;
 
-/// A value as the unevaluated sum of two doubles, the second at most half a unit in the last place of the
-/// first.
+/// A value as the unevaluated sum of two doubles.
+///
+/// The second double is at most half a unit in the last place of the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DoubleDouble(pub f64, pub f64);
 
-/// Bound on the error of one operation, relative to the sum of the magnitudes of what goes in.
+/// The relative error bound of one operation: 2⁻¹⁰¹ times the sum of the magnitudes of both operands for a
+/// sum or difference, and 2⁻¹⁰¹ times the magnitude of the result for a product.
 pub const STEP: f64 = f64::EPSILON * f64::EPSILON * 8.0;
 
-/// a + b exactly, for |a| ≥ |b|.
+/// Computes a + b exactly, for |a| ≥ |b|.
 #[inline]
 fn quick_sum(a: f64, b: f64) -> (f64, f64) {
     let s = a + b;
     (s, b - (s - a))
 }
 
-/// Both halves of a double's bits (Veltkamp).
+/// Splits a double into two halves of its bits (Veltkamp).
 #[inline]
 fn halves(a: f64) -> (f64, f64) {
     let c = 134_217_729.0 * a;
@@ -30,7 +32,9 @@ fn halves(a: f64) -> (f64, f64) {
     (high, a - high)
 }
 
-/// a·b exactly, as product and error. Without a fused operation, which not every processor has.
+/// Computes a·b exactly, as the rounded product and the rounding error.
+///
+/// The function uses no fused operation, because not every processor has one.
 #[inline]
 fn two_product(a: f64, b: f64) -> (f64, f64) {
     let p = a * b;
@@ -39,27 +43,27 @@ fn two_product(a: f64, b: f64) -> (f64, f64) {
 }
 
 impl DoubleDouble {
-    /// a + b exactly.
+    /// Computes a + b exactly.
     #[inline]
     pub fn sum(a: f64, b: f64) -> Self {
         let (s, e) = two_sum(a, b);
         Self(s, e)
     }
 
-    /// a·b exactly.
+    /// Computes a·b exactly.
     #[inline]
     pub fn product(a: f64, b: f64) -> Self {
         let (p, e) = two_product(a, b);
         Self(p, e)
     }
 
-    /// a − b exactly.
+    /// Computes a − b exactly.
     #[inline]
     pub fn difference(a: f64, b: f64) -> Self {
         Self::sum(a, -b)
     }
 
-    /// The sum.
+    /// Computes the sum of two double-doubles.
     #[inline]
     pub fn plus(self, o: Self) -> Self {
         let (s, e) = two_sum(self.0, o.0);
@@ -69,13 +73,13 @@ impl DoubleDouble {
         Self(s, e)
     }
 
-    /// The difference.
+    /// Computes the difference of two double-doubles.
     #[inline]
     pub fn minus(self, o: Self) -> Self {
         self.plus(Self(-o.0, -o.1))
     }
 
-    /// The product.
+    /// Computes the product of two double-doubles.
     #[inline]
     pub fn times(self, o: Self) -> Self {
         let (p, e) = two_product(self.0, o.0);
@@ -83,13 +87,13 @@ impl DoubleDouble {
         Self(p, e)
     }
 
-    /// The value times a power of two.
+    /// Multiplies the value by a power of two, which is exact unless a double underflows or overflows.
     #[inline]
     pub fn scaled(self, power: f64) -> Self {
         Self(self.0 * power, self.1 * power)
     }
 
-    /// The quotient, erring by at most 2⁻¹⁰⁰ of itself.
+    /// Computes the quotient of two double-doubles, with a relative error of at most 2⁻¹⁰⁰.
     #[inline]
     pub fn over(self, o: Self) -> Self {
         let q = self.0 / o.0;
@@ -100,7 +104,7 @@ impl DoubleDouble {
         Self(s, e).plus(Self(rest.0 / o.0, 0.0))
     }
 
-    /// The magnitude.
+    /// Returns the magnitude.
     #[inline]
     pub fn abs(self) -> Self {
         if self.0 < 0.0 {
@@ -119,7 +123,7 @@ mod tests {
 
     use super::*;
 
-    /// Value times 2^300, exactly.
+    /// Returns the value times 2³⁰⁰ exactly.
     fn exact(x: DoubleDouble) -> IBig {
         let to_integer = |x: f64| {
             let (n, e) = dyadic(x);
@@ -147,7 +151,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn operations_err_by_no_more_than_a_step(a in value(), b in value()) {
+        fn operations_stay_within_error_step(a in value(), b in value()) {
             use dashu_int::ops::Abs as _;
             prop_assert_eq!(STEP, f64::powi(2.0, -101));
             let (x, y) = (exact(a), exact(b));

@@ -1,7 +1,8 @@
 //! Big integers, the conversion of doubles to integers, and the rounding back.
 //!
 //! Every coordinate is a finite double: an integer times a power of two. Points and lines are homogeneous, so
-//! a common positive factor has no meaning and all values can be integers; [`primitive`] keeps them small.
+//! a common positive factor does not change them, and all components can be integers. [`primitive`] keeps
+//! these integers small.
 
 use dashu_int::IBig;
 use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
@@ -11,7 +12,7 @@ use crate::arithmetic::double_double::DoubleDouble;
 #[cfg(doc)]
 use crate::arithmetic::double_double::STEP;
 
-/// Integers `n` and one exponent `e` with `xs[i] = n[i] · 2^e`.
+/// Converts doubles to integers `n` with one common exponent `e`, so that `xs[i] = n[i] · 2^e` exactly.
 pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {
     let parts = xs.map(dyadic);
     let least = parts
@@ -32,7 +33,7 @@ pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {
     )
 }
 
-/// The point as homogeneous integers (x, y, z, w), w a positive power of two.
+/// Converts a point to homogeneous integers (x, y, z, w), where w is a positive power of two.
 pub fn homogeneous(p: [f64; 3]) -> [IBig; 4] {
     let ([x, y, z], e) = integers(p);
     if e < 0 {
@@ -43,7 +44,7 @@ pub fn homogeneous(p: [f64; 3]) -> [IBig; 4] {
     }
 }
 
-/// Divides by the greatest common divisor. A vector of zeros stays.
+/// Divides a vector by the greatest common divisor of its components. A vector of zeros stays unchanged.
 pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
     let Some(zeros) = v.iter().filter_map(IBig::trailing_zeros).min() else {
         return;
@@ -68,11 +69,13 @@ pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
     }
 }
 
-/// The vector scaled by a power of two until its greatest component is at least 1/2 and at most 1, each
-/// component wrong by at most 2⁻⁵³. A vector of zeros stays.
+/// Converts a vector to doubles, scaled by a power of two so that the largest magnitude of a component is
+/// from 1/2 to 1.
+///
+/// The error of each component is at most 2⁻⁵³. A vector of zeros stays unchanged.
 pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
     let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
-    // More than a double holds, so that cutting the rest off is far below the rounding that follows.
+    // A double has fewer bits, so the error of the cut is far below the error of the rounding that follows.
     const KEPT: usize = 120;
     let cut = longest.saturating_sub(KEPT);
     let scale = f64::powi(2.0, -((longest - cut) as i32));
@@ -86,7 +89,8 @@ pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
     })
 }
 
-/// As [`rounded`], each component wrong by at most [`STEP`].
+/// Converts a vector to double-doubles, scaled like [`rounded`], with an error of at most [`STEP`] per
+/// component.
 pub fn rounded_double_double<const N: usize>(v: &[IBig; N]) -> [DoubleDouble; N] {
     let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
     const KEPT: usize = 160;
@@ -102,7 +106,7 @@ pub fn rounded_double_double<const N: usize>(v: &[IBig; N]) -> [DoubleDouble; N]
     })
 }
 
-/// An integer below 2^1000 as a pair of doubles.
+/// Converts an integer, whose magnitude must be below 2^1000, to a double-double.
 pub fn double_double(x: &IBig) -> DoubleDouble {
     let high = x.to_f64().value();
     let ([n], e) = integers([high]);
@@ -110,15 +114,18 @@ pub fn double_double(x: &IBig) -> DoubleDouble {
     DoubleDouble(high, low)
 }
 
-/// The vector scaled by a power of two so that its greatest component is at least 1/2 and below 1, and the
-/// factor.
+/// Scales a vector by a power of two so that the largest magnitude of a component is at least 1/2 and below
+/// 1.
+///
+/// The function also returns the factor. If all components are 0 or the largest is not finite, the vector
+/// stays unchanged and the factor is 1.
 pub fn normalised<const N: usize>(x: [f64; N]) -> ([f64; N], f64) {
     let greatest = x.iter().fold(0.0f64, |m, c| m.max(c.abs()));
     if greatest == 0.0 || !greatest.is_finite() {
         return (x, 1.0);
     }
     let exponent = ((greatest.to_bits() >> 52 & 0x7ff) as i32 - 1022).clamp(-1000, 1000);
-    // 2^−exponent, by its bits.
+    // The code sets the bits of 2^−exponent directly.
     let scale = f64::from_bits(((1023 - exponent) as u64) << 52);
     (x.map(|c| c * scale), scale)
 }
@@ -133,16 +140,16 @@ mod tests {
 
     proptest! {
         #[test]
-        fn doubles_become_integers_and_back(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
+        fn doubles_convert_to_integers_and_back(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
             let (m, e) = dyadic(x);
             prop_assert!(m % 2 != 0 || x == 0.0);
-            // In two steps: 2^e alone may be below what a double holds.
+            // The product has two steps, because 2^e may be below the range of doubles.
             let half = e / 2;
             prop_assert_eq!(m as f64 * f64::powi(2.0, half) * f64::powi(2.0, e - half), x);
         }
 
         #[test]
-        fn rounding_is_as_near_as_it_says(v in prop::array::uniform3(any::<i64>()), up in 0usize..300) {
+        fn rounded_stays_within_error_bound(v in prop::array::uniform3(any::<i64>()), up in 0usize..300) {
             prop_assume!(v.iter().any(|x| *x != 0));
             let big = v.map(|x| IBig::from(x) << up);
             let near = rounded(&big);

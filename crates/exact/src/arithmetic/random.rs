@@ -1,4 +1,4 @@
-//! Random numbers from a seed and a stream number, the same on every machine.
+//! Random numbers from a seed and a stream number, identical on every machine.
 
 use sightline_numbers::random::{GAMMA, SplitMix64};
 
@@ -6,14 +6,16 @@ use sightline_numbers::random::{GAMMA, SplitMix64};
 pub struct Random(SplitMix64);
 
 impl Random {
-    /// The generator of one stream: different pairs of a seed and a stream give unrelated numbers.
+    /// Creates the generator of one stream.
+    ///
+    /// Different pairs of a seed and a stream give unrelated numbers.
     pub fn new(seed: u64, stream: u64) -> Self {
         Self(SplitMix64::new(
             SplitMix64::new(seed).bits() ^ stream.wrapping_mul(GAMMA),
         ))
     }
 
-    /// A number in [0, 1), a multiple of 2⁻⁵³.
+    /// Returns the next number in [0, 1), a multiple of 2⁻⁵³.
     pub fn unit(&mut self) -> f64 {
         self.0.unit_f64()
     }
@@ -24,7 +26,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_are_as_in_every_version() {
+    fn streams_have_known_answers() {
         let mut random = Random::new(5, 7);
         let expected = [
             4_418_864_944_222_949u64,

@@ -1,8 +1,8 @@
-//! Cell groups: the triangles hidden from a box around several cells, decided once for all of them.
+//! Cell groups: the triangles hidden from a box around several cells, decided once for all of the cells.
 //!
 //! Enlarging a cell never hides a triangle, so a triangle hidden from the box is hidden from every cell in
-//! it. A triangle seen from the box is queried again from each cell. So triangles that some cell is known to
-//! see, and triangles that all cells are known not to see, are not queried from the box.
+//! it. For a triangle visible from the box, the search must query each cell again. So the group search
+//! queries only triangles that no cell is known to see and that are not known to be hidden from all cells.
 
 use rayon::prelude::*;
 use sightline_certificate::GroupCertificate;
@@ -11,54 +11,54 @@ use sightline_numbers::Aabb;
 use crate::cells::exact_scene::ExactScene;
 use crate::cells::sources::ExactViewRegion;
 use crate::cells::statistics::QueryStatistics;
-use crate::cells::task::Task;
-use crate::cells::work::{State, Work};
+use crate::cells::task::CellTask;
+use crate::cells::work::{CellWork, TriangleState};
 use crate::geometry::Cell;
-use crate::search::Limits;
+use crate::search::QueryLimits;
 
-/// A group of cells whose common hidden triangles are to be found.
+/// A group of cells, and the parameters of the search for their common hidden triangles.
 pub struct CellGroup<'a> {
     /// The prepared scene.
     pub scene: &'a ExactScene,
-    /// The cells, which fill a box.
+    /// The cells of the group, which together fill a box.
     pub cells: &'a [Cell],
-    /// Where in space viewpoints are; `None` for everywhere.
-    pub places: Option<&'a dyn ExactViewRegion>,
-    /// For each cell, triangles that sampling has shown, ascending.
+    /// The part of space that contains viewpoints; `None` for all space.
+    pub region: Option<&'a dyn ExactViewRegion>,
+    /// For each cell, the triangles that sampling has shown, in ascending order.
     pub seen: &'a [&'a [u32]],
-    /// For each cell, [`Task::listed`]; empty for none.
+    /// For each cell, the value of [`CellTask::listed`]; an empty slice if no cell has one.
     pub listed: &'a [Option<Vec<u32>>],
     /// The limits of a single query.
-    pub limits: Limits,
-    /// Seed of the rays.
+    pub limits: QueryLimits,
+    /// The seed of the rays.
     pub seed: u64,
-    /// Whether to keep proofs.
+    /// True if the result contains the proofs.
     pub keep: bool,
-    /// Called before every region of every query: whether to stop with the results so far.
+    /// The stop callback, called before every region of every query. If it returns true, the search ends with
+    /// the results so far.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Called after every query.
+    /// The progress callback, called after every query.
     pub asked: &'a (dyn Fn() + Sync),
 }
 
 /// The decisions about a group of cells.
 #[derive(Debug, PartialEq)]
-pub struct GroupDecided {
-    /// Triangles hidden from the box around the cells, ascending.
+pub struct GroupDecisions {
+    /// The triangles hidden from the box around the cells, in ascending order.
     pub hidden: Vec<u32>,
-    /// The box, and the proofs if they are kept.
+    /// The box around the cells, and the proofs if [`CellGroup::keep`] is true.
     pub shared: GroupCertificate,
-    /// Work done.
+    /// The work done for the group.
     pub statistics: QueryStatistics,
 }
 
-/// The triangles proved hidden from the box around the cells, ascending; with the proofs, if they are kept,
-/// and the query statistics.
-pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
+/// Searches for the triangles that are hidden from the box around the cells.
+pub fn decide_group(task: &CellGroup<'_>) -> GroupDecisions {
     let bounds = task
         .cells
         .iter()
         .fold(Aabb::EMPTY, |all: Aabb, cell| all.union(cell.bounds()));
-    let nothing = |statistics| GroupDecided {
+    let nothing = |statistics| GroupDecisions {
         hidden: Vec::new(),
         shared: GroupCertificate {
             bounds,
@@ -69,10 +69,10 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     let Some(cell) = Cell::new(bounds.min, bounds.max) else {
         return nothing(QueryStatistics::default());
     };
-    let whole = Task {
+    let whole = CellTask {
         scene: task.scene,
         cell,
-        places: task.places,
+        region: task.region,
         seen: &[],
         above: &[],
         listed: None,
@@ -82,13 +82,13 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         stop: task.stop,
         asked: task.asked,
     };
-    let mut work = Work::new(&whole);
+    let mut work = CellWork::new(&whole);
     if task.scene.occluders().targets().is_empty() || (task.stop)() {
         return nothing(QueryStatistics::default());
     }
     work.meeting();
-    // The states before any query, for a few cells at a time: a large scene has many triangles and a tile may
-    // have many cells, so all states at once would take much memory.
+    // Compute the states before any query for a few cells at a time. A large scene has many triangles and a
+    // tile may have many cells, so all states together would need much memory.
     let mut seen_by_any = vec![false; work.state.len()];
     let mut hidden_from = vec![0; work.state.len()];
     let listed = task
@@ -101,16 +101,16 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         if (task.stop)() {
             return nothing(QueryStatistics::default());
         }
-        let known: Vec<Vec<State>> = some
+        let known: Vec<Vec<TriangleState>> = some
             .par_iter()
             .map(|((cell, seen), listed)| before_asking(&whole, **cell, seen, *listed))
             .collect();
         let counts = seen_by_any.par_iter_mut().zip(&mut hidden_from).enumerate();
         counts.for_each(|(id, (seen, hidden))| {
-            *seen |= known.iter().any(|cell| cell[id] == State::Visible);
+            *seen |= known.iter().any(|cell| cell[id] == TriangleState::Visible);
             *hidden += known
                 .iter()
-                .filter(|cell| cell[id] == State::Hidden)
+                .filter(|cell| cell[id] == TriangleState::Hidden)
                 .count();
         });
     }
@@ -118,51 +118,57 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         .state
         .iter_mut()
         .enumerate()
-        .filter(|(_, state)| **state == State::Open)
+        .filter(|(_, state)| **state == TriangleState::Open)
     {
         if seen_by_any[id] {
-            *state = State::Visible;
+            *state = TriangleState::Visible;
         } else if hidden_from[id] == task.cells.len() {
-            *state = State::Hidden;
+            *state = TriangleState::Hidden;
         }
     }
     let before = work.state.clone();
     work.search();
     let found = |id: &u32| {
         let at = *id as usize;
-        work.state[at] == State::Hidden && before[at] == State::Open
+        work.state[at] == TriangleState::Hidden && before[at] == TriangleState::Open
     };
     let hidden = (0..before.len() as u32).filter(found).collect();
     let shared = GroupCertificate {
         bounds,
         hidden: std::mem::take(&mut work.decided.certificate.hidden),
     };
-    GroupDecided {
+    GroupDecisions {
         hidden,
         shared,
         statistics: work.decided.statistics,
     }
 }
 
-/// The states of the triangles for one of the cells before any query; triangles that sampling has shown count
-/// as visible.
-fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32], listed: Option<&[u32]>) -> Vec<State> {
-    let own = Task {
+/// Computes the states that the triangles have for one of the cells before any query.
+///
+/// Triangles that sampling has shown count as visible.
+fn before_asking(
+    whole: &CellTask<'_>,
+    cell: Cell,
+    seen: &[u32],
+    listed: Option<&[u32]>,
+) -> Vec<TriangleState> {
+    let own = CellTask {
         cell,
         seen,
         listed,
         keep: false,
         ..*whole
     };
-    let mut work = Work::new(&own);
+    let mut work = CellWork::new(&own);
     work.meeting();
     work.keep_to_listed();
     work.enclose();
     let mut state = work.state;
     for id in seen {
         let triangle_state = &mut state[*id as usize];
-        if *triangle_state == State::Open {
-            *triangle_state = State::Visible;
+        if *triangle_state == TriangleState::Open {
+            *triangle_state = TriangleState::Visible;
         }
     }
     state

@@ -6,51 +6,56 @@ use std::collections::{BTreeMap, BinaryHeap};
 use rayon::prelude::*;
 use sightline_geometry::bvh::Below;
 use sightline_numbers::Aabb;
+use sightline_scene::TriangleId;
 
-use crate::cells::ask::{Asked, Item};
-use crate::cells::from_cell::Found;
-use crate::cells::progress::Progress;
-use crate::cells::work::{State, Work};
+use crate::cells::cell_queries::{ItemAnswer, QueryItem};
+use crate::cells::from_cell::FromCellAnswer;
+use crate::cells::progress::NodeSummaries;
+use crate::cells::work::{CellWork, TriangleState};
 use crate::occluders::OccluderId;
 
-/// Number of queries that run in parallel: enough to keep a few cores busy, few enough to keep the order by
-/// size.
+/// The maximum number of queries that run in parallel.
+///
+/// The number is large enough to use a few cores fully, and small enough to preserve the order by size.
 const BATCH: usize = 64;
-/// Up to this number, open polygons are queried one by one: their box has no fewer faces.
+/// The maximum number of open polygons below a node that the search queries one by one instead of with their
+/// box.
+///
+/// A box has up to six faces, so a query of the box would not be cheaper.
 const FEW: u32 = 6;
 
 /// A node, polygon or triangle that is still to be queried, ordered by its apparent size.
 #[derive(PartialEq)]
-struct Doubt {
+struct OpenItem {
     size: f64,
-    of: Item,
+    item: QueryItem,
 }
 
-impl Eq for Doubt {}
+impl Eq for OpenItem {}
 
-impl Ord for Doubt {
+impl Ord for OpenItem {
     fn cmp(&self, o: &Self) -> Ordering {
-        self.size.total_cmp(&o.size).then(o.of.cmp(&self.of))
+        self.size.total_cmp(&o.size).then(o.item.cmp(&self.item))
     }
 }
 
-impl PartialOrd for Doubt {
+impl PartialOrd for OpenItem {
     fn partial_cmp(&self, o: &Self) -> Option<Ordering> {
         Some(self.cmp(o))
     }
 }
-impl Work<'_> {
-    /// Queries the open items of the hierarchy, those of the largest apparent size first.
+impl CellWork<'_> {
+    /// Queries the open items of the hierarchy in descending order of apparent size.
     pub fn search(&mut self) {
         let tree = self.task.scene.occluders().targets();
-        let mut below = Progress::of(self.task.scene.occluders(), &self.state);
-        let mut doubts = BinaryHeap::new();
-        // Polygons found so far, and whether each was queried as a whole.
+        let mut below = NodeSummaries::new(self.task.scene.occluders(), &self.state);
+        let mut queue = BinaryHeap::new();
+        // The polygons found so far, each with true if the search queries the polygon as a whole.
         let mut faces: BTreeMap<OccluderId, bool> = BTreeMap::new();
-        let mut batch: Vec<Item> = Vec::new();
+        let mut batch: Vec<QueryItem> = Vec::new();
         let mut expand = vec![0u32];
         loop {
-            // Nodes that need no query are expanded at once.
+            // Expand nodes that need no query at once.
             while let Some(node) = expand.pop() {
                 match tree.below(node) {
                     Below::Nodes(children) => {
@@ -59,7 +64,7 @@ impl Work<'_> {
                             if !known.open {
                                 continue;
                             }
-                            // A query of the box cannot succeed or costs more than queries of its few
+                            // A query of the box cannot succeed, or costs more than queries of its few
                             // polygons.
                             if known.visible
                                 || known.count <= FEW
@@ -67,35 +72,38 @@ impl Work<'_> {
                             {
                                 expand.push(child);
                             } else {
-                                doubts.push(self.doubt(Item::Node(child)));
+                                queue.push(self.open_item(QueryItem::Node(child)));
                             }
                         }
                     }
                     Below::Items(items) => {
                         for id in items
                             .iter()
-                            .filter(|t| self.state[**t as usize] == State::Open)
+                            .filter(|t| self.state[**t as usize] == TriangleState::Open)
                         {
-                            let face = match self.task.scene.occluders().of(*id) {
-                                Some(face) if self.hidden_half(Item::Triangle(*id)).is_none() => {
-                                    face
-                                }
-                                _ => {
-                                    doubts.push(self.doubt(Item::Triangle(*id)));
-                                    continue;
-                                }
-                            };
+                            let face =
+                                match self.task.scene.occluders().occluder_id(TriangleId(*id)) {
+                                    Some(face)
+                                        if self.hidden_half(QueryItem::Triangle(*id)).is_none() =>
+                                    {
+                                        face
+                                    }
+                                    _ => {
+                                        queue.push(self.open_item(QueryItem::Triangle(*id)));
+                                        continue;
+                                    }
+                                };
                             // The first triangle of a polygon queues the whole polygon, which includes the
-                            // others.
+                            // other triangles.
                             let known = *faces.entry(face).or_insert_with(|| {
                                 let worth = self.worth_asking(face);
                                 if worth {
-                                    doubts.push(self.doubt(Item::Face(face)));
+                                    queue.push(self.open_item(QueryItem::Face(face)));
                                 }
                                 worth
                             });
                             if !known {
-                                doubts.push(self.doubt(Item::Triangle(*id)));
+                                queue.push(self.open_item(QueryItem::Triangle(*id)));
                             }
                         }
                     }
@@ -103,16 +111,17 @@ impl Work<'_> {
             }
             batch.clear();
             while batch.len() < BATCH {
-                let Some(doubt) = doubts.pop() else { break };
-                // Since the item was queued, rays may have shown it or a triangle in it.
-                match doubt.of {
-                    Item::Triangle(id) if self.state[id as usize] != State::Open => {}
-                    Item::Node(node) if below.of_node(node).visible => expand.push(node),
-                    Item::Face(face) if !self.worth_asking(face) => {
-                        doubts.extend(
+                let Some(open) = queue.pop() else { break };
+                // Since the item was queued, rays may have shown the triangle, or a triangle in the box or
+                // polygon.
+                match open.item {
+                    QueryItem::Triangle(id) if self.state[id as usize] != TriangleState::Open => {}
+                    QueryItem::Node(node) if below.of_node(node).visible => expand.push(node),
+                    QueryItem::Face(face) if !self.worth_asking(face) => {
+                        queue.extend(
                             self.open_of(face)
                                 .into_iter()
-                                .map(|id| self.doubt(Item::Triangle(id))),
+                                .map(|id| self.open_item(QueryItem::Triangle(id))),
                         );
                     }
                     of => batch.push(of),
@@ -121,35 +130,37 @@ impl Work<'_> {
             if batch.is_empty() && expand.is_empty() {
                 break;
             }
-            let answers: Vec<Asked> = batch
+            let answers: Vec<ItemAnswer> = batch
                 .par_iter()
                 .with_max_len(1)
                 .map(|item| self.ask(*item))
                 .collect();
             for mut answer in answers {
                 for id in self.show_beside(&mut answer) {
-                    below.show(id);
+                    below.show(TriangleId(id));
                 }
-                let hidden = matches!(answer.found, Some(Found::Hidden(_)));
-                match answer.of {
-                    // The node's children are queried instead, unless the search was stopped.
-                    Item::Node(node) if !hidden => {
+                let hidden = matches!(answer.found, Some(FromCellAnswer::Hidden(_)));
+                match answer.item {
+                    // Query the node's children instead, unless the caller stopped the search.
+                    QueryItem::Node(node) if !hidden => {
                         if answer.found.is_some() {
                             expand.push(node);
                         } else {
                             self.each_below(node, |work, id| work.leave(id, None));
                         }
                     }
-                    Item::Face(face) if !hidden => {
+                    QueryItem::Face(face) if !hidden => {
                         for id in self.open_of(face) {
                             match answer.found {
-                                Some(_) => doubts.push(self.doubt(Item::Triangle(id))),
+                                Some(_) => queue.push(self.open_item(QueryItem::Triangle(id))),
                                 None => self.leave(id, None),
                             }
                         }
                     }
-                    Item::Triangle(id) if matches!(answer.found, Some(Found::Visible(_))) => {
-                        below.show(id)
+                    QueryItem::Triangle(id)
+                        if matches!(answer.found, Some(FromCellAnswer::Visible(_))) =>
+                    {
+                        below.show(TriangleId(id))
                     }
                     _ => {}
                 }
@@ -158,19 +169,26 @@ impl Work<'_> {
         }
     }
 
-    fn doubt(&self, of: Item) -> Doubt {
-        let Aabb { min, max } = self.bounds(of);
-        Doubt {
+    /// Returns an item with its apparent size from the cell.
+    fn open_item(&self, item: QueryItem) -> OpenItem {
+        let Aabb { min, max } = self.bounds(item);
+        OpenItem {
             size: self.task.cell.size_of(min, max),
-            of,
+            item,
         }
     }
 
-    /// Whether to query an occluder's polygon as a whole: all its triangles may be hidden, and more than one
-    /// is open.
+    /// Returns true if an occluder's polygon should be queried as a whole.
+    ///
+    /// This is the case if every triangle of the polygon is open or hidden, and more than one is open.
     fn worth_asking(&self, occluder: OccluderId) -> bool {
         let members = &self.task.scene.occluders().occluder(occluder).triangles;
-        let hidden = |id: u32| matches!(self.state[id as usize], State::Open | State::Hidden);
+        let hidden = |id: u32| {
+            matches!(
+                self.state[id as usize],
+                TriangleState::Open | TriangleState::Hidden
+            )
+        };
         members.len() > 1
             && members.iter().all(|t| hidden(t.triangle))
             && self.open_of(occluder).len() > 1
@@ -183,14 +201,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn doubts_are_ordered_by_size_and_then_by_number() {
-        let doubt = |size, of| Doubt { size, of };
+    fn open_items_are_ordered_by_size_then_number() {
+        let open_item = |size, item| OpenItem { size, item };
         let mut heap = BinaryHeap::from([
-            doubt(1.0, Item::Triangle(3)),
-            doubt(2.0, Item::Node(9)),
-            doubt(2.0, Item::Node(4)),
+            open_item(1.0, QueryItem::Triangle(3)),
+            open_item(2.0, QueryItem::Node(9)),
+            open_item(2.0, QueryItem::Node(4)),
         ]);
-        let order: Vec<Item> = std::iter::from_fn(|| heap.pop().map(|d| d.of)).collect();
-        assert_eq!(order, [Item::Node(4), Item::Node(9), Item::Triangle(3)]);
+        let order: Vec<QueryItem> = std::iter::from_fn(|| heap.pop().map(|d| d.item)).collect();
+        assert_eq!(
+            order,
+            [
+                QueryItem::Node(4),
+                QueryItem::Node(9),
+                QueryItem::Triangle(3)
+            ]
+        );
     }
 }

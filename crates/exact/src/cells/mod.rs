@@ -1,13 +1,13 @@
 //! View cells: visibility from a box, for one polygon, for all triangles, and for groups of cells.
 
-mod apart;
-mod ask;
+mod box_queries;
+mod cell_decisions;
 mod cell_group;
-mod decide;
+mod cell_queries;
 mod exact_scene;
 mod from_cell;
 mod hierarchy_search;
-mod listed;
+mod listed_triangles;
 mod progress;
 mod rays;
 mod sources;
@@ -15,12 +15,12 @@ mod statistics;
 mod task;
 mod work;
 
-pub use apart::box_from_cell;
-pub use cell_group::{CellGroup, GroupDecided, decide_group};
-pub use decide::decide;
+pub use box_queries::box_from_cell;
+pub use cell_decisions::decide;
+pub use cell_group::{CellGroup, GroupDecisions, decide_group};
 pub use exact_scene::ExactScene;
-pub use from_cell::{Found, from_cell};
-pub use listed::decide_listed;
+pub use from_cell::{FromCellAnswer, from_cell};
+pub use listed_triangles::decide_listed;
 pub use sources::{ExactViewRegion, Sources};
 pub use statistics::QueryStatistics;
-pub use task::{Decided, Task};
+pub use task::{CellDecisions, CellTask};

@@ -1,38 +1,48 @@
-//! The states of the triangles below each node of the hierarchy while they are decided.
+//! The states of the triangles below each node of the hierarchy during the search.
 
 use sightline_geometry::bvh::Below;
+use sightline_scene::TriangleId;
 
-use crate::cells::work::State;
+use crate::cells::work::TriangleState;
 use crate::occluders::Occluders;
 
-/// The states of the triangles below a node, summarised.
+/// A summary of the states of the triangles below a node.
 #[derive(Clone, Copy, Default)]
-pub struct Known {
-    /// Whether some triangle is visible.
+pub struct NodeSummary {
+    /// True if at least one triangle below the node is visible.
     pub visible: bool,
-    /// Whether some triangle was open at first.
+    /// True if at least one triangle below the node was open when the search began.
     pub open: bool,
-    /// How many triangles were open at first; the triangles of one polygon share a query and count once.
+    /// The number of triangles below the node that were open when the search began. The triangles of one
+    /// polygon share a query and count once.
     pub count: u32,
 }
 
-/// A summary for each node of the hierarchy.
-pub struct Progress {
-    below: Vec<Known>,
+/// For each node of the hierarchy over the targets (`Occluders::targets`), the states of the
+/// triangles below it. With these summaries the search skips a node, queries its box, or expands it.
+pub struct NodeSummaries {
+    /// For each node, its summary.
+    below: Vec<NodeSummary>,
+    /// For each node, the index of its parent node.
     parent: Vec<u32>,
+    /// For each triangle, the index of its leaf node.
     leaf: Vec<u32>,
 }
 
-impl Progress {
-    pub fn of(scene: &Occluders, state: &[State]) -> Self {
+impl NodeSummaries {
+    /// Summarises the states of the triangles below each node. `state` contains the state of each triangle of
+    /// the scene.
+    pub fn new(scene: &Occluders, state: &[TriangleState]) -> Self {
         let tree = scene.targets();
-        let open = |id: &u32| state[*id as usize] == State::Open;
+        let open = |id: &u32| state[*id as usize] == TriangleState::Open;
         let first = |id: u32| {
-            let members = scene.of(id).map(|o| &scene.occluder(o).triangles);
+            let members = scene
+                .occluder_id(TriangleId(id))
+                .map(|o| &scene.occluder(o).triangles);
             members.is_none_or(|m| m.iter().map(|t| t.triangle).find(|t| open(t)) == Some(id))
         };
         let mut out = Self {
-            below: vec![Known::default(); tree.len()],
+            below: vec![NodeSummary::default(); tree.len()],
             parent: vec![0; tree.len()],
             leaf: vec![0; state.len()],
         };
@@ -42,7 +52,7 @@ impl Progress {
                 Below::Nodes(children) => {
                     children.iter().for_each(|c| out.parent[*c as usize] = node);
                     let [a, b] = children.map(|c| out.below[c as usize]);
-                    Known {
+                    NodeSummary {
                         visible: a.visible || b.visible,
                         open: a.open || b.open,
                         count: a.count + b.count,
@@ -50,8 +60,10 @@ impl Progress {
                 }
                 Below::Items(items) => {
                     items.iter().for_each(|t| out.leaf[*t as usize] = node);
-                    Known {
-                        visible: items.iter().any(|t| state[*t as usize] == State::Visible),
+                    NodeSummary {
+                        visible: items
+                            .iter()
+                            .any(|t| state[*t as usize] == TriangleState::Visible),
                         open: items.iter().any(open),
                         count: items.iter().filter(|t| open(t) && first(**t)).count() as u32,
                     }
@@ -61,14 +73,15 @@ impl Progress {
         out
     }
 
-    pub fn of_node(&self, node: u32) -> Known {
+    /// Returns the summary of a node.
+    pub fn of_node(&self, node: u32) -> NodeSummary {
         self.below[node as usize]
     }
 
-    /// A triangle was seen.
-    pub fn show(&mut self, triangle: u32) {
-        let mut node = self.leaf[triangle as usize];
-        // All ancestors of a node that has a visible triangle are marked already.
+    /// Marks the nodes above a triangle as visible, after the triangle was seen.
+    pub fn show(&mut self, triangle: TriangleId) {
+        let mut node = self.leaf[triangle.at()];
+        // If a node has a visible triangle, all its ancestors are already marked.
         while !self.below[node as usize].visible {
             self.below[node as usize].visible = true;
             node = self.parent[node as usize];

@@ -1,33 +1,41 @@
 //! Witnesses from random rays: segments from random points of the cell to random points of likely visible
 //! triangles.
 //!
-//! The first triangle that a segment meets gets a witness if it is wanted. Every segment is checked exactly
-//! before it counts ([`shows`]). Triangles that a few rays do not show are left to queries.
+//! If the caller needs a witness for the first triangle that a segment meets, the segment is tested exactly
+//! with [`shows`] and becomes its witness. Queries decide the triangles that a few rays do not show.
 
 use std::collections::BTreeMap;
 
 use glam::{DVec3, Vec3};
+use sightline_scene::TriangleId;
 
 use crate::arithmetic::random::Random;
 use crate::cells::sources::Sources;
 use crate::occluders::Occluders;
 use crate::occluders::segment::{first, shows};
 
-/// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
+/// The number of segments tried per triangle before a query. A query costs far more than all these segments.
 pub const TRIES: u32 = 48;
-/// How far a witness extends beyond the triangle, as fractions of its length, in the order tried: far enough
-/// that its rounded end is beyond the triangle, not so far that it often meets another triangle.
+/// The lengths by which a witness extends beyond the triangle, as fractions of the length from viewpoint to
+/// triangle, in the order tried.
+///
+/// A length must be large enough that the rounded end is beyond the triangle, and small enough that the
+/// segment rarely meets another triangle.
 const BEYOND: [f64; 2] = [1e-4, 1e-6];
 
-/// Segments tried around a witness that a query found.
+/// The number of segments that [`around`] tries near a witness that a query found.
 const AROUND: u32 = 32;
-/// The first distance of these segments from the witness, as a fraction of the cell and of the target, and
-/// the factor by which it shrinks.
+/// The initial distance of these segments from the witness, and its shrinking factor per segment.
+///
+/// The distance is a fraction of the cell's size at the start of a segment, and of the target's width at the
+/// end.
 const SPREAD: [f64; 2] = [0.25, 0.6];
 
-/// Looks for witnesses near an unobstructed segment from the cell to a target of width `wide`. Nearby lines
-/// often show the same triangle, or triangles behind the face of a box. Returns witnesses for `wanted`
-/// triangles and the number of rays cast.
+/// Searches for witnesses near an unobstructed segment from `p` in the cell to `q` in a target of width
+/// `wide`.
+///
+/// Nearby lines often show the same triangle, or triangles behind the face of a box. The function returns
+/// witnesses for triangles that `wanted` accepts, and the number of rays cast.
 pub fn around(
     scene: &Occluders,
     sources: &Sources<'_>,
@@ -47,7 +55,7 @@ pub fn around(
             .clamp(min, max);
         let origin = near.as_dvec3();
         let to = q + off() * wide * spread;
-        // The segment itself comes first.
+        // The first segment tried is the unobstructed segment without an offset.
         spread = if spread == 0.0 {
             SPREAD[0]
         } else {
@@ -62,19 +70,22 @@ pub fn around(
         if !wanted(met) || found.iter().any(|f| f.0 == met) {
             continue;
         }
-        if let Some(ends) = segment(scene, near, to - origin, (met, at), &mut scratch) {
+        if let Some(ends) = segment(scene, near, to - origin, met, at, &mut scratch) {
             found.push((met, ends));
         }
     }
     (found, u64::from(AROUND))
 }
 
-/// The segment from `p` along a direction to just beyond the triangle it meets there, if it is a witness.
+/// Returns the segment from `p` to just beyond the triangle `met`, if the segment is a witness.
+///
+/// The ray meets the triangle at the parameter `at`.
 fn segment(
     scene: &Occluders,
     p: Vec3,
     direction: DVec3,
-    (met, at): (u32, f64),
+    met: u32,
+    at: f64,
     scratch: &mut Vec<u32>,
 ) -> Option<[Vec3; 2]> {
     BEYOND.iter().find_map(|beyond| {
@@ -83,14 +94,18 @@ fn segment(
     })
 }
 
-/// Looks for witnesses of the `wanted` triangles (ascending), with some tries each, and gives those found.
+/// Searches for witnesses of the `wanted` triangles, whose ids must be in ascending order, with at most
+/// `tries` segments per triangle.
 ///
-/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is called after each
-/// triangle; when it returns true, the answer is the witnesses found so far.
+/// The function returns the witness of each triangle found, by triangle id, and the number of rays cast.
+///
+/// The result depends only on the scene, the cell, `wanted`, `tries` and `seed`. The function calls `stop`
+/// after each triangle. If `stop` returns true, the result contains the witnesses found so far.
 pub fn witnesses(
     scene: &Occluders,
     sources: &Sources<'_>,
-    (wanted, tries): (&[u32], u32),
+    wanted: &[u32],
+    tries: u32,
     seed: u64,
     stop: &dyn Fn() -> bool,
 ) -> (BTreeMap<u32, [Vec3; 2]>, u64) {
@@ -106,13 +121,13 @@ pub fn witnesses(
             let Some(p) = sources.viewpoint(&mut random) else {
                 continue;
             };
-            // Uniform over the triangle.
+            // The point is uniformly distributed over the triangle.
             let (s, t) = (random.unit().sqrt(), random.unit());
             let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
             let origin = p.as_dvec3();
             cast += 1;
-            // A triangle that does not block is met where the segment was aimed.
-            let met = if scene.of(*id).is_some() {
+            // A segment meets a triangle that does not block at the point at which the segment was aimed.
+            let met = if scene.occluder_id(TriangleId(*id)).is_some() {
                 first(scene, origin, to - origin)
             } else {
                 Some((*id, 1.0))
@@ -121,7 +136,7 @@ pub fn witnesses(
             if found.contains_key(&met) || wanted.binary_search(&met).is_err() {
                 continue;
             }
-            if let Some(ends) = segment(scene, p, to - origin, (met, at), &mut scratch) {
+            if let Some(ends) = segment(scene, p, to - origin, met, at, &mut scratch) {
                 found.insert(met, ends);
             }
         }

@@ -1,9 +1,10 @@
-//! Where lines leave a view cell: its faces, or the parts of them where viewpoints are.
+//! The sources of a view cell's lines: its faces, or the parts of its faces that contain viewpoints.
 //!
-//! Viewpoints may be in a part of the cell alone. The part must hold every free segment in the cell that
-//! begins in it, as a region bounded by walls does, or a box without the walls in its faces: then a line
-//! from a viewpoint leaves the cell where viewpoints are, and the triangles seen from the part are those
-//! that meet it and those that are seen from its parts of the faces.
+//! Viewpoints may be in only a part of the cell. The part must contain every free segment in the cell that
+//! begins in it. A region bounded by walls fulfils this condition, and so does a box without the walls in its
+//! faces. A line from a viewpoint then leaves the cell through the part of a face that belongs to the region.
+//! So the triangles visible from the part are the triangles that meet it and the triangles visible from its
+//! parts of the faces.
 
 use glam::Vec3;
 use sightline_certificate::certificate::faces;
@@ -13,68 +14,77 @@ use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::geometry::polygon::Polygon;
 
-/// The part of space where viewpoints are. Within a cell, a free segment that begins in it must not leave it.
+/// The part of space that contains viewpoints.
+///
+/// Within a cell, an unobstructed segment that begins in the region must not leave the region.
 pub trait ExactViewRegion: Sync {
-    /// Whether a point of the cell is a viewpoint.
+    /// Returns true if a point of the cell is a viewpoint.
     fn hold(&self, point: Vec3) -> bool;
-    /// The parts of a cell's face through which free segments leave the cell.
+    /// Returns the parts of a cell's face through which unobstructed segments from viewpoints leave the cell.
     fn parts(&self, face: &Polygon) -> Vec<Polygon>;
-    /// Whether a triangle has an area in common with the closed part within a closed box.
+    /// Returns true if a triangle shares an area with the closed region within the closed box `within`.
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool;
 }
 
 /// A view cell with the parts of its faces through which lines leave.
 pub struct Sources<'a> {
     cell: Cell,
-    places: Option<&'a dyn ExactViewRegion>,
-    /// In the order of [`faces`].
+    region: Option<&'a dyn ExactViewRegion>,
+    /// For each face of the cell, in the order of [`faces`], the parts through which lines leave.
     faces: [Vec<Polygon>; 6],
 }
 
 impl<'a> Sources<'a> {
-    /// The faces of a cell; with `places`, their parts there.
-    pub fn new(cell: Cell, places: Option<&'a dyn ExactViewRegion>) -> Self {
+    /// Creates the sources of a cell: its faces, or the parts of its faces in `region`.
+    pub fn new(cell: Cell, region: Option<&'a dyn ExactViewRegion>) -> Self {
         let mut all = faces().map(|(axis, up)| {
             let face = Polygon::face_of(cell.bounds(), axis, up);
-            match places {
+            match region {
                 None => vec![face],
-                Some(places) => places.parts(&face),
+                Some(region) => region.parts(&face),
             }
         });
         let faces = std::array::from_fn(|_| all.next().unwrap_or_default());
         Self {
             cell,
-            places,
+            region,
             faces,
         }
     }
 
-    /// The cell.
+    /// Returns the cell.
     pub fn cell(&self) -> Cell {
         self.cell
     }
 
-    /// Each face with its axis, whether it is the greater one, and its parts.
+    /// Iterates over the faces of the cell.
+    ///
+    /// Each item contains the axis that the face is perpendicular to, a flag that is true for the upper face,
+    /// and the parts of the face.
     pub fn faces(&self) -> impl Iterator<Item = ((usize, bool), &[Polygon])> {
         faces().zip(self.faces.iter().map(Vec::as_slice))
     }
 
-    /// Whether a point of the cell is a viewpoint.
+    /// Returns true if a point of the cell is a viewpoint.
     pub fn holds(&self, point: Vec3) -> bool {
-        self.places.is_none_or(|places| places.hold(point))
+        self.region.is_none_or(|region| region.hold(point))
     }
 
-    /// Whether a triangle that meets the cell meets it where viewpoints are.
+    /// Returns true if a triangle that meets the cell meets the part that contains viewpoints.
     pub fn is_met_by(&self, triangle: [Vec3; 3]) -> bool {
-        self.places
-            .is_none_or(|places| places.touch(triangle, self.cell.bounds()))
+        self.region
+            .is_none_or(|region| region.touch(triangle, self.cell.bounds()))
     }
 
-    /// A random viewpoint: anywhere in the cell, or on a part of its faces. `None` when there is none, or
-    /// rounding has moved it away.
+    /// Draws a random viewpoint.
+    ///
+    /// The point is anywhere in the cell or, if the cell has a region of viewpoints, on a part of the cell's
+    /// faces.
+    ///
+    /// The result is `None` if no face has such a part or if rounding moved the point out of the region.
     pub fn viewpoint(&self, random: &mut Random) -> Option<Vec3> {
         let [min, max] = self.cell.corners();
-        if self.places.is_none() {
+        if self.region.is_none() {
             let r = glam::DVec3::new(random.unit(), random.unit(), random.unit());
             let p = (min.as_dvec3() + (max.as_dvec3() - min.as_dvec3()) * r).as_vec3();
             return Some(p.clamp(min, max));
@@ -87,7 +97,7 @@ impl<'a> Sources<'a> {
             .flatten()
             .nth(number.min(parts.checked_sub(1)?))?
             .rounded();
-        // A triangle of the part's fan, and a point of it.
+        // The point is uniform in a random triangle of the part's fan.
         let fan = (random.unit() * (corners.len() - 2) as f64) as usize;
         let [a, b, c] = [0, fan + 1, fan + 2].map(|i| corners[i.min(corners.len() - 1)]);
         let (s, t) = (random.unit().sqrt(), random.unit());

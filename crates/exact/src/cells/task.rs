@@ -1,4 +1,4 @@
-//! The task of deciding one view cell, and its result.
+//! The task of deciding one view cell, and the result of the task.
 
 use sightline_certificate::CellCertificate;
 
@@ -6,44 +6,49 @@ use crate::cells::exact_scene::ExactScene;
 use crate::cells::sources::ExactViewRegion;
 use crate::cells::statistics::QueryStatistics;
 use crate::geometry::Cell;
-use crate::search::Limits;
+use crate::search::QueryLimits;
 
 /// The task of deciding one cell.
-pub struct Task<'a> {
+pub struct CellTask<'a> {
     /// The prepared scene.
     pub scene: &'a ExactScene,
     /// The cell.
     pub cell: Cell,
-    /// Where in space viewpoints are; `None` for everywhere.
-    pub places: Option<&'a dyn ExactViewRegion>,
-    /// Triangles that sampling has shown, ascending. Each is checked.
+    /// The part of space that contains viewpoints; `None` for all space.
+    pub region: Option<&'a dyn ExactViewRegion>,
+    /// The triangles that sampling has shown, in ascending order. The search returns such a triangle as
+    /// visible only if the triangle meets the cell or the search finds a witness.
     pub seen: &'a [u32],
-    /// Triangles hidden from the box of the cell group, ascending. None of them meets the cell.
+    /// The triangles hidden from the box of the cell group, in ascending order. None of these triangles meets
+    /// the cell.
     pub above: &'a [u32],
-    /// All triangles that may be seen, ascending, if something has proved the others hidden. There is no
-    /// certificate about these.
+    /// All triangles that may be visible, in ascending order, if another method has proved all other
+    /// triangles hidden.
+    ///
+    /// The certificate contains no proofs about the other triangles.
     pub listed: Option<&'a [u32]>,
     /// The limits of a single query.
-    pub limits: Limits,
-    /// Seed of the rays.
+    pub limits: QueryLimits,
+    /// The seed of the rays.
     pub seed: u64,
-    /// Whether to keep witnesses and proofs.
+    /// True if the result contains the witnesses and proofs.
     pub keep: bool,
-    /// Called before every region of every query: whether to stop with the results so far.
+    /// The stop callback, called before every region of every query. If it returns true, the search ends with
+    /// the results so far.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Called after every query.
+    /// The progress callback, called after every query.
     pub asked: &'a (dyn Fn() + Sync),
 }
 
 /// The decisions about one cell.
 #[derive(Debug, Default, PartialEq)]
-pub struct Decided {
-    /// Triangles seen or meeting the cell, ascending.
+pub struct CellDecisions {
+    /// The triangles that have a witness or that meet the cell, in ascending order.
     pub visible: Vec<u32>,
-    /// Triangles neither seen nor proved hidden, ascending.
+    /// The triangles that have no witness and that are not proved hidden, in ascending order.
     pub undecided: Vec<u32>,
-    /// Witnesses and proofs, if they are kept.
+    /// The witnesses and proofs if [`CellTask::keep`] is true, otherwise empty.
     pub certificate: CellCertificate,
-    /// The work done.
+    /// The work done for the cell.
     pub statistics: QueryStatistics,
 }

@@ -1,9 +1,9 @@
 //! The frame of a query: an affine map after which both polygons are about as wide as their distance.
 //!
-//! Two small polygons that are far from each other and from the origin have Plücker coordinates that agree in
-//! most bits. The map removes this and changes no sign. It is exact by construction: an origin in doubles,
-//! rows of small integers, and powers of two. Only the filter works in the frame: coordinates in it are
-//! rounded with a bound, or exact in integers.
+//! If two small polygons are far from each other and from the origin, their Plücker coordinates agree in most
+//! bits. The map removes this agreement and does not change any sign. The map is exact by construction: an
+//! origin in doubles, rows of small integers, and powers of two. Coordinates in the frame are doubles with an
+//! error bound, or exact integers.
 
 use dashu_int::IBig;
 use glam::DVec3;
@@ -12,7 +12,8 @@ use sightline_geometry::rounding::UNIT as U;
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{double_double, homogeneous, integers, primitive};
 
-/// Entries of the rows are multiples of 1/64, which turns the axes to within a degree.
+/// The denominator of the row entries. With multiples of 1/64, the rows deviate from the chosen axes by less
+/// than a degree.
 const STEPS: f64 = 64.0;
 
 /// The map x ↦ 2^shift · rows · (x − origin) / 64, with a positive determinant.
@@ -21,43 +22,44 @@ pub struct Frame {
     origin: DVec3,
     rows: [[i32; 3]; 3],
     shift: [i32; 3],
-    /// 2^(shift − 6).
+    /// The factors 2^(shift − 6) of the integer rows.
     scale: [f64; 3],
 }
 
-/// A point in a frame: rounded, with a bound on the error of each coordinate, and exact.
+/// A point in a frame: exact, and rounded with a bound on the error of each coordinate.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Rounded coordinates in the frame.
+    /// The rounded coordinates in the frame.
     pub at: [f64; 3],
-    /// The greatest error of any of them.
+    /// A bound on the error of each coordinate of `at`.
     pub error: f64,
-    /// The coordinates in double-doubles, and their greatest error.
+    /// The coordinates in double-doubles, and a bound on the error of each.
     pub fine: ([DoubleDouble; 3], f64),
     /// The exact position.
-    pub place: Place,
+    pub place: PointForm,
 }
 
-/// Where a point comes from.
+/// The exact position of a point in world space.
 #[derive(Clone, Debug)]
-pub enum Source {
+pub enum PointOrigin {
     /// Doubles in world space.
     Given(DVec3),
     /// Homogeneous integers in world space, w > 0.
     Exact(Box<[IBig; 4]>),
 }
 
-/// How a point of a [`crate::line_space::space::Space`] is known.
+/// The representation of a point of a [`crate::line_space::space::Space`].
 #[derive(Clone, Debug)]
-pub enum Place {
-    /// By its coordinates in the world.
-    World(Source),
-    /// As Σ weight · point / Σ weight of three other points of the space.
+pub enum PointForm {
+    /// The point's coordinates in world space.
+    World(PointOrigin),
+    /// The mean Σ weight · point / Σ weight of three other points of the space, as their indices and positive
+    /// weights.
     Mix([u32; 3], Box<[IBig; 3]>),
 }
 
 impl Frame {
-    /// The map that changes nothing.
+    /// Creates the identity map.
     pub fn world() -> Self {
         let one = STEPS as i32;
         let rows = [[one, 0, 0], [0, one, 0], [0, 0, one]];
@@ -69,7 +71,7 @@ impl Frame {
         }
     }
 
-    /// A frame for the points `a` and `b`, neither of which is empty.
+    /// Creates the frame for two polygons with the vertices `a` and `b`, neither of which is empty.
     pub fn around(a: &[DVec3], b: &[DVec3]) -> Self {
         let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len() as f64;
         let (ca, cb) = (middle(a), middle(b));
@@ -91,14 +93,15 @@ impl Frame {
             .into_iter()
             .find_map(DVec3::try_normalize)
             .unwrap_or(DVec3::Z);
-        // Across the axis, the direction in which the two spread most.
+        // The x axis is the direction across z in which the points spread most.
         let (u, v) = z.any_orthonormal_pair();
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
         for d in all() {
             let (s, t) = (d.dot(u), d.dot(v));
             (xx, xy, yy) = (xx + s * s, xy + s * t, yy + t * t);
         }
-        // Half the angle of (xx − yy, 2xy), by square roots, which round the same on every machine.
+        // The axis has half the angle of (xx − yy, 2xy). Square roots compute it, because they round the same
+        // on every machine.
         let (c, t) = (xx - yy, 2.0 * xy);
         let h = (c * c + t * t).sqrt();
         let (cos, sin) = if h > 0.0 {
@@ -114,7 +117,8 @@ impl Frame {
         let row = |axis: DVec3| (axis * STEPS).round().to_array().map(|c| c as i32);
         let mut rows = [row(x), row(y), row(z)];
         if determinant(&rows) <= 0 {
-            // Impossible for unit vectors; after an overflow above, the identity is used.
+            // This is impossible for unit vectors; it can happen only after an overflow above. Use the
+            // identity then.
             rows = [[64, 0, 0], [0, 64, 0], [0, 0, 64]];
         }
         let shift = std::array::from_fn(|i| {
@@ -126,7 +130,7 @@ impl Frame {
                 0
             }
         });
-        // Bounds the scale of a pair that is flat across its axis.
+        // The limit bounds the scale along an axis in which both polygons extend only a little.
         let least = shift.iter().copied().min().unwrap_or(0);
         let shift = shift.map(|s: i32| s.min(least + 24));
         Self {
@@ -137,10 +141,10 @@ impl Frame {
         }
     }
 
-    /// A point given in doubles.
+    /// Maps a point, given in doubles in world space, to the frame.
     ///
-    /// A difference is exact as a double-double. Three products and two sums are off by a step each of at
-    /// most Σ |row · (p − origin)|.
+    /// A difference is exact as a double-double. Each of three products and two sums is off by at most
+    /// [`STEP`] times Σ |row · (p − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
         let d: [DoubleDouble; 3] =
             std::array::from_fn(|j| DoubleDouble::difference(p[j], self.origin[j]));
@@ -160,11 +164,11 @@ impl Frame {
             at: fine.map(|c| c.0),
             error,
             fine: (fine, fine_error),
-            place: Place::World(Source::Given(p)),
+            place: PointForm::World(PointOrigin::Given(p)),
         }
     }
 
-    /// The coordinates of a point given in doubles, rounded.
+    /// Computes the rounded coordinates, in the frame, of a point given in doubles in world space.
     pub fn near(&self, p: DVec3) -> DVec3 {
         let d = p - self.origin;
         DVec3::from(std::array::from_fn(|i| {
@@ -173,7 +177,7 @@ impl Frame {
         }))
     }
 
-    /// A point given by homogeneous integers in world space.
+    /// Maps a point, given by homogeneous integers in world space, to the frame.
     pub fn exact(&self, p: [IBig; 4]) -> Point {
         let mut local = self.map(&p);
         primitive(&mut local);
@@ -185,39 +189,41 @@ impl Frame {
             at,
             error: 4.0 * U * greatest,
             fine: (fine, 8.0 * STEP * greatest),
-            place: Place::World(Source::Exact(Box::new(p))),
+            place: PointForm::World(PointOrigin::Exact(Box::new(p))),
         }
     }
 
-    /// Exact coordinates in the frame, homogeneous.
-    pub fn integers(&self, p: &Source) -> [IBig; 4] {
+    /// Computes the exact homogeneous coordinates, in the frame, of a point in world space.
+    pub fn integers(&self, p: &PointOrigin) -> [IBig; 4] {
         match p {
-            Source::Given(p) => self.map(&homogeneous(p.to_array())),
-            Source::Exact(p) => self.map(p),
+            PointOrigin::Given(p) => self.map(&homogeneous(p.to_array())),
+            PointOrigin::Exact(p) => self.map(p),
         }
     }
 
-    /// A Plücker vector of the world in the frame, up to a positive factor: d' = M·d, m' = cof(M)·(m − c ×
-    /// d).
+    /// Maps a Plücker vector from the world to the frame, up to a positive factor.
+    ///
+    /// The formulas are d' = M·d and m' = cof(M)·(m − c × d).
     pub fn line_from_world(&self, line: &[IBig; 6]) -> [IBig; 6] {
         let (c, (low, up)) = self.centre();
         let (d, m) = halves(line);
         let moment = cross(&c, &d);
         let moment = std::array::from_fn(|i| (&m[i] << low) - (&moment[i] << up));
-        // M = 2^least · N with N of integers; then d' carries one factor 2^least and m' two.
+        // M = 2^least · N with an integer matrix N. Then d' has one factor 2^least and m' two.
         let (n, (down, rise)) = self.matrix();
         let d = times(&n, &d).map(|x| x << (low + down));
         let m = times(&cofactors(&n), &moment).map(|x| x << rise);
         joined(d, m)
     }
 
-    /// A Plücker vector of the frame in the world, up to a positive factor: det(M)·d = cof(M)ᵀ·d' and
-    /// det(M)·m = Mᵀ·m' + c × det(M)·d.
+    /// Maps a Plücker vector from the frame to the world, up to a positive factor.
+    ///
+    /// The formulas are det(M)·d = cof(M)ᵀ·d' and det(M)·m = Mᵀ·m' + c × det(M)·d.
     pub fn line_to_world(&self, line: &[IBig; 6]) -> [IBig; 6] {
         let (c, (low, up)) = self.centre();
         let (n, (down, rise)) = self.matrix();
         let (d, m) = halves(line);
-        // With N for M, d' counts for two factors 2^least and m' for one.
+        // With N in place of M, d' counts for two factors 2^least and m' for one.
         let d = times(&transposed(cofactors(&n)), &d).map(|x| x << rise);
         let m = times(&transposed(n), &m).map(|x| x << down);
         let moment = cross(&c, &d);
@@ -225,13 +231,13 @@ impl Frame {
         joined(d.map(|x| x << low), m)
     }
 
-    /// The origin c as integers: c · 2^up / 2^low.
+    /// Returns the origin as an integer vector c: the origin is c · 2^up / 2^low.
     fn centre(&self) -> ([IBig; 3], (usize, usize)) {
         let (c, e) = integers(self.origin.to_array());
         (c, ((-e).max(0) as usize, e.max(0) as usize))
     }
 
-    /// The matrix as integers N: M = N · 2^rise / 2^down.
+    /// Returns the matrix as an integer matrix N: M = N · 2^rise / 2^down.
     fn matrix(&self) -> ([[IBig; 3]; 3], (usize, usize)) {
         let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
         let n = std::array::from_fn(|i| {
@@ -244,7 +250,7 @@ impl Frame {
 
     fn map(&self, p: &[IBig; 4]) -> [IBig; 4] {
         let (origin, e) = integers(self.origin.to_array());
-        // Everything times 2^low, so that the origin becomes an integer.
+        // All values are multiplied by 2^low, so that the origin becomes an integer.
         let low = (-e).max(0) as usize;
         let up = e.max(0) as usize;
         let d: [IBig; 3] = std::array::from_fn(|j| (&p[j] << low) - ((&p[3] * &origin[j]) << up));
@@ -267,7 +273,7 @@ impl Frame {
     }
 }
 
-/// The direction and the moment of a Plücker vector.
+/// Splits a Plücker vector into its direction and its moment.
 fn halves([a, b, c, d, e, f]: &[IBig; 6]) -> ([IBig; 3], [IBig; 3]) {
     let three = |x: [&IBig; 3]| x.map(Clone::clone);
     (three([a, b, c]), three([d, e, f]))
@@ -289,13 +295,14 @@ fn transposed(m: [[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| m[j][i].clone()))
 }
 
-/// The matrix whose rows are the cross products of those of `m`.
+/// Returns the matrix whose rows are the cross products of the rows of `m`.
 fn cofactors(m: &[[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
     std::array::from_fn(|i| cross(&m[(i + 1) % 3], &m[(i + 2) % 3]))
 }
 
-/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms round differently from machine
-/// to machine.
+/// Returns the smallest k with x ≤ 2^k, for normal x > 0.
+///
+/// The function reads the bits of `x`, because logarithms round differently on different machines.
 fn above(x: f64) -> i32 {
     let (exponent, fraction) = ((x.to_bits() >> 52) as i32 - 1023, x.to_bits() << 12);
     exponent + i32::from(fraction != 0)
@@ -311,18 +318,19 @@ fn determinant(m: &[[i32; 3]; 3]) -> i64 {
         .sum()
 }
 
-/// A homogeneous point as doubles, each coordinate correct to 3u of itself (where it does not vanish).
+/// Converts a homogeneous point to doubles. The relative error of each coordinate is at most 3u unless the
+/// coordinate underflows to 0.
 pub fn point_doubles(p: &[IBig; 4]) -> [f64; 3] {
     std::array::from_fn(|i| sightline_numbers::integer::ratio(&p[i], &p[3]))
 }
 
-/// n / d to 4 steps, for d > 0.
+/// Computes n / d for d > 0, with a relative error of at most 4 times [`STEP`].
 fn ratio_double_double(n: &IBig, d: &IBig) -> DoubleDouble {
     use dashu_int::ops::BitTest;
     if n.is_zero() {
         return DoubleDouble::default();
     }
-    // The quotient has at least 160 bits, far more than are kept; 2^1000 is not reached.
+    // The quotient has at least 160 bits, far more than the result keeps, and stays below 2^1000.
     let up = (160 + d.bit_len()).saturating_sub(n.bit_len());
     let down = n.bit_len().saturating_sub(d.bit_len() + 160);
     let q: IBig = ((n << up) / d) >> down;
@@ -342,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn powers_of_two_are_their_own_least() {
+    fn above_of_power_of_two_is_its_exponent() {
         for k in -300..300 {
             let x = f64::powi(2.0, k);
             assert_eq!(
@@ -354,7 +362,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rounded_points_are_as_near_as_they_say(
+        fn rounded_points_stay_within_error_bound(
             a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
             far in near(), scale in -40i32..40, away in -20i32..20,
         ) {
@@ -365,7 +373,7 @@ mod tests {
             let frame = Frame::around(&a, &b);
             for p in a.iter().chain(&b) {
                 let point = frame.given(*p);
-                let exact = point_doubles(&frame.integers(&Source::Given(*p)));
+                let exact = point_doubles(&frame.integers(&PointOrigin::Given(*p)));
                 for (x, e) in point.at.iter().zip(exact) {
                     prop_assert!((x - e).abs() <= point.error + 4.0 * U * e.abs(), "{x} {e} {}", point.error);
                     prop_assert!(e.abs() <= 1.5, "{e}");
@@ -381,7 +389,7 @@ mod tests {
         }
 
         #[test]
-        fn lines_come_back_from_the_world(
+        fn lines_survive_round_trip_through_world(
             a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
             line in prop::array::uniform6(-1000i64..1000),
             scale in -40i32..40,
@@ -400,7 +408,7 @@ mod tests {
         }
 
         #[test]
-        fn lines_go_where_their_points_go(
+        fn lines_map_like_their_points(
             a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
             scale in -40i32..40, far in near(), away in -20i32..20,
         ) {
@@ -418,7 +426,7 @@ mod tests {
             };
             let ends = [a[0], b[0]];
             let world = join(ends.map(|p| homogeneous(p.to_array())));
-            let local = join(ends.map(|p| frame.integers(&Source::Given(p))));
+            let local = join(ends.map(|p| frame.integers(&PointOrigin::Given(p))));
             let mut there = frame.line_from_world(&world);
             primitive(&mut there);
             prop_assert_eq!(there, local);

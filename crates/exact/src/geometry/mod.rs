@@ -6,6 +6,6 @@ pub mod polygon;
 pub mod predicates;
 mod view_cell;
 
-pub use frame::Source;
+pub use frame::PointOrigin;
 pub use polygon::{Polygon, PolygonError};
 pub use view_cell::Cell;

@@ -5,12 +5,14 @@ use std::cmp::Ordering;
 
 use super::polygon::Polygon;
 
-/// A polygon, and on which side of the other polygon's plane each of its corners is.
-pub type Part = (Polygon, Vec<Ordering>);
+/// A polygon, and the side of the other polygon's plane on which each of its corners lies.
+pub type SidedPolygon = (Polygon, Vec<Ordering>);
 
-/// The pairs of parts of `a` and `b`. Empty when both lie in one plane: the lines in that plane are no open
+/// Cuts `a` and `b` along each other's planes and returns the pairs of a part of `a` and a part of `b`.
+///
+/// The result is empty if both polygons lie in one plane, because the lines in that plane do not form an open
 /// set.
-pub fn parts(a: &Polygon, b: &Polygon) -> Vec<[Part; 2]> {
+pub fn parts(a: &Polygon, b: &Polygon) -> Vec<[SidedPolygon; 2]> {
     let (of_a, of_b) = (b.sides(a), a.sides(b));
     let mut out = Vec::new();
     for side_a in [Ordering::Greater, Ordering::Less] {

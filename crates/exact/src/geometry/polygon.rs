@@ -1,4 +1,4 @@
-//! Convex polygons in world space, and cutting them exactly along planes.
+//! Convex polygons in world space, and exact cuts of them along planes.
 
 use std::cmp::Ordering;
 
@@ -10,60 +10,65 @@ use sightline_geometry::rounding::UNIT as U;
 use sightline_numbers::Aabb;
 
 use crate::arithmetic::number::primitive;
-use crate::geometry::frame::{Source, point_doubles};
+use crate::geometry::frame::{PointOrigin, point_doubles};
 use crate::geometry::predicates::{height, integers, orient, plane, sign};
 
-/// Most vertices of a polygon in a query.
+/// The maximum number of vertices of a polygon in a query.
 pub const MOST_VERTICES: usize = 64;
-/// Maximum number of corners of a polygon in one query: a query has two rays for every pair of corners, and
-/// its work grows with the cube of their number.
+/// The maximum number of corners of a polygon in one query; [`Polygon::pieces`] splits larger polygons.
+///
+/// A query has two rays for every pair of corners, and its work grows with the cube of their number.
 const MOST_AT_ONCE: usize = 8;
-/// A polygon of more than three vertices counts as flat, and is split into triangles, if no vertex is farther
-/// from its plane than this fraction of its diameter. The constant decides only whether a query is refused.
+/// The maximum distance of a vertex from the plane of a flat polygon, as a fraction of the polygon's
+/// diameter.
+///
+/// [`Polygon::checked`] splits a polygon of more than three vertices within this distance into triangles, and
+/// rejects a polygon with a vertex farther away.
 const FLAT: f64 = 1e-6;
 
 /// A convex polygon whose vertices lie exactly in one plane, no three of them on a line.
 #[derive(Clone, Debug)]
 pub struct Polygon {
-    points: Vec<Source>,
+    points: Vec<PointOrigin>,
 }
 
-/// Why a list of points is no polygon for a query.
+/// The reason why a list of points is not a valid polygon for a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PolygonError {
-    /// Fewer than three different points, or all on a line.
-    #[error("it has no area; give at least three corners that are not on one line")]
+    /// The list has fewer than three different points, or all points are on one line.
+    #[error("the polygon has no area; give at least three corners that are not on one line")]
     NoArea,
-    /// More than [`MOST_VERTICES`] vertices.
-    #[error("it has more than {MOST_VERTICES} corners; split it")]
+    /// The list has more than [`MOST_VERTICES`] vertices.
+    #[error("the polygon has more than {MOST_VERTICES} corners; split the polygon")]
     TooMany,
-    /// A coordinate that is not finite, or beyond what products of coordinates can hold.
-    #[error("a coordinate is not finite or beyond ±1e60; scale the query")]
+    /// A coordinate is not finite, or too large for products of coordinates in doubles.
+    #[error("a coordinate is not finite or beyond ±1e60; scale the query down")]
     NotFinite,
-    /// So small that products of coordinates vanish.
+    /// The polygon or a coordinate is so small that products of coordinates underflow.
     #[error(
-        "it is less than 1e-60 across, or a coordinate is less than 1e-100 and not 0; scale the query"
+        "the polygon is less than 1e-60 across, or a nonzero coordinate is below 1e-100; scale the query up"
     )]
     TooSmall,
-    /// Vertices far from one plane.
-    #[error("its corners are not in one plane; split it into triangles")]
+    /// The vertices are far from one plane.
+    #[error("the corners are not in one plane; split the polygon into triangles")]
     NotFlat,
-    /// A reflex vertex, or a boundary that goes round more than once.
+    /// A vertex is reflex, or the boundary goes around more than once.
     #[error(
-        "it is not convex (or its corners are not in order around it); split it into triangles"
+        "the polygon is not convex, or its corners are not in order; split the polygon into triangles"
     )]
     NotConvex,
 }
 
 impl Polygon {
-    /// Checks the corners of a convex polygon, in order either way round.
+    /// Checks the corners of a convex polygon, which must be in order around the polygon, and returns the
+    /// polygon.
     ///
-    /// Corners that repeat or lie on the line of their neighbours are dropped. Corners that are in one plane
-    /// only up to rounding cannot bound one convex polygon exactly; the result is then the fan of triangles
-    /// from the first corner.
+    /// The function drops corners that repeat or lie on the line of their neighbours. If the corners are in
+    /// one plane only up to rounding, the result is the fan of triangles from the first corner. If the
+    /// polygon has more corners than one query allows, the result is a list of its pieces.
     ///
     /// # Errors
-    /// [`PolygonError`], by kind.
+    /// [`PolygonError`] with the reason.
     pub fn checked(corners: &[DVec3]) -> Result<Vec<Self>, PolygonError> {
         if corners
             .iter()
@@ -99,7 +104,7 @@ impl Polygon {
         while distinct.len() > 1 && distinct.first() == distinct.last() {
             distinct.pop();
         }
-        let mut points: Vec<Source> = distinct.into_iter().map(Source::Given).collect();
+        let mut points: Vec<PointOrigin> = distinct.into_iter().map(PointOrigin::Given).collect();
         drop_collinear(&mut points);
         if points.len() < 3 {
             return Err(PolygonError::NoArea);
@@ -121,12 +126,15 @@ impl Polygon {
         fan(&points)
     }
 
-    /// Checks the corners of a convex polygon that is exactly flat, in order either way round. Corners that
-    /// repeat or lie on the line of their neighbours are dropped.
+    /// Checks the corners of a convex polygon that is exactly flat. The corners must be in order around the
+    /// polygon.
+    ///
+    /// The function drops corners that repeat or lie on the line of their neighbours.
     ///
     /// # Errors
-    /// [`PolygonError`], by kind; [`PolygonError::NotFlat`] also where rounding is the reason.
-    pub fn exact(corners: Vec<Source>) -> Result<Self, PolygonError> {
+    /// [`PolygonError`] with the reason. If the corners are in one plane only up to rounding, the error is
+    /// [`PolygonError::NotFlat`].
+    pub fn exact(corners: Vec<PointOrigin>) -> Result<Self, PolygonError> {
         if corners.len() > MOST_VERTICES {
             return Err(PolygonError::TooMany);
         }
@@ -145,11 +153,11 @@ impl Polygon {
         if is_dot || near.iter().any(|p| p.to_array().into_iter().any(vanishing)) {
             return Err(PolygonError::TooSmall);
         }
-        let same = |p: &Source, q: &Source| {
+        let same = |p: &PointOrigin, q: &PointOrigin| {
             let (p, q) = (integers(p), integers(q));
             (0..3).all(|k| &p[k] * &q[3] == &q[k] * &p[3])
         };
-        let mut points: Vec<Source> = Vec::new();
+        let mut points: Vec<PointOrigin> = Vec::new();
         for p in corners {
             if points.last().is_none_or(|last| !same(last, &p)) {
                 points.push(p);
@@ -162,7 +170,8 @@ impl Polygon {
         if points.len() < 3 {
             return Err(PolygonError::NoArea);
         }
-        let on = |p: &Source| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal;
+        let on =
+            |p: &PointOrigin| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal;
         if !points[3..].iter().all(on) {
             return Err(PolygonError::NotFlat);
         }
@@ -174,24 +183,25 @@ impl Polygon {
         }
     }
 
-    /// A triangle with area.
+    /// Creates a triangle, or returns `None` if it has no area or its coordinates are out of range.
     pub fn triangle(v: [DVec3; 3]) -> Option<Self> {
         Self::checked(&v).ok().and_then(|mut p| p.pop())
     }
 
-    /// A rectangle along two axes, which is flat by construction and must have an area.
+    /// Creates a rectangle whose edges are parallel to two axes, without checks. The rectangle must have an
+    /// area.
     pub fn rectangle(corners: [DVec3; 4]) -> Self {
         Self {
-            points: corners.map(Source::Given).into(),
+            points: corners.map(PointOrigin::Given).into(),
         }
     }
 
-    /// The six faces of a box with a volume.
+    /// Returns the six faces of a box with a volume, the lower face of each axis first.
     pub fn faces_of(bounds: Aabb) -> [Self; 6] {
         std::array::from_fn(|k| Self::face_of(bounds, k / 2, k % 2 == 1))
     }
 
-    /// The face of a box across an axis, its greater one or its lesser one.
+    /// Returns the upper (`up` is true) or lower face of a box perpendicular to an axis (0 to 2).
     pub fn face_of(bounds: Aabb, axis: usize, up: bool) -> Self {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let (lo, hi) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
@@ -210,38 +220,42 @@ impl Polygon {
         ])
     }
 
-    /// The section of the plane (n, k) with a box; `None` if they share no area.
+    /// Computes the section of the plane n·x = k with a box, or returns `None` if the section has no area.
     ///
-    /// The part of the plane over the box's face across the axis along which n is longest, cut along the
-    /// other two faces.
-    pub fn section(of: &[IBig; 4], bounds: Aabb) -> Option<Self> {
+    /// Let the axis be the coordinate axis along which n is longest. The function projects a face of the box
+    /// perpendicular to the axis to the plane. Then it cuts the projection along the planes of the two faces
+    /// perpendicular to the axis.
+    pub fn section(plane: &[IBig; 4], bounds: Aabb) -> Option<Self> {
         let longest = |best: usize, a: usize| {
-            if of[a].clone().unsigned_abs() > of[best].clone().unsigned_abs() {
+            if plane[a].clone().unsigned_abs() > plane[best].clone().unsigned_abs() {
                 a
             } else {
                 best
             }
         };
         let axis = (1..3).fold(0, longest);
-        // On the plane above or below each corner of the face: (k − Σ nᵢ xᵢ) / n along the axis.
-        let turn = if sign(&of[axis]) == Ordering::Less {
+        // The point of the plane above or below each corner of the face: (k − Σ nᵢ xᵢ) / n along the axis.
+        let turn = if sign(&plane[axis]) == Ordering::Less {
             -IBig::ONE
         } else {
             IBig::ONE
         };
-        let corner = |p: &Source| {
+        let corner = |p: &PointOrigin| {
             let p = integers(p);
-            let others: IBig = (0..3).filter(|i| *i != axis).map(|i| &of[i] * &p[i]).sum();
+            let others: IBig = (0..3)
+                .filter(|i| *i != axis)
+                .map(|i| &plane[i] * &p[i])
+                .sum();
             let mut point: [IBig; 4] = std::array::from_fn(|i| {
                 let own = if i == axis {
-                    &of[3] * &p[3] - &others
+                    &plane[3] * &p[3] - &others
                 } else {
-                    &of[axis] * &p[i]
+                    &plane[axis] * &p[i]
                 };
                 own * &turn
             });
             primitive(&mut point);
-            Source::Exact(Box::new(point))
+            PointOrigin::Exact(Box::new(point))
         };
         let mut face = Self {
             points: Self::face_of(bounds, axis, false)
@@ -263,29 +277,34 @@ impl Polygon {
         Some(face)
     }
 
-    /// The corners, in order.
-    pub fn points(&self) -> &[Source] {
+    /// Returns the corners in order.
+    pub fn points(&self) -> &[PointOrigin] {
         &self.points
     }
 
-    /// The corners, rounded.
+    /// Returns the rounded corners in order.
     pub fn rounded(&self) -> Vec<DVec3> {
         self.points.iter().map(rounded).collect()
     }
 
-    /// Its plane (n, k); n points to the side from which the corners appear counter-clockwise.
+    /// Computes the polygon's plane n·x = k as (n, k). n points to the side from which the corners appear
+    /// counter-clockwise.
     pub fn plane(&self) -> [IBig; 4] {
         let [a, b, c] = [0, 1, 2].map(|i| integers(&self.points[i]));
         plane([&a, &b, &c])
     }
 
-    /// On which side of this polygon's plane each corner of `other` is.
+    /// Computes the side of this polygon's plane on which each corner of `other` lies, in the order of the
+    /// corners.
     pub fn sides(&self, other: &Self) -> Vec<Ordering> {
         let [a, b, c] = [0, 1, 2].map(|i| &self.points[i]);
         other.points.iter().map(|p| orient([a, b, c, p])).collect()
     }
 
-    /// The part on the side `keep` of the plane, given each corner's side; None if no corner is on that side.
+    /// Returns the part of the polygon on the side `keep` of a plane (n, k), or `None` if no corner is on
+    /// that side.
+    ///
+    /// `sides` contains the side of the plane on which each corner lies.
     pub fn part(&self, plane: &[IBig; 4], sides: &[Ordering], keep: Ordering) -> Option<Self> {
         if !sides.contains(&keep) {
             return None;
@@ -308,14 +327,16 @@ impl Polygon {
                 );
                 let mut cut: [IBig; 4] = std::array::from_fn(|k| &q[k] * &s + &p[k] * &t);
                 primitive(&mut cut);
-                points.push(Source::Exact(Box::new(cut)));
+                points.push(PointOrigin::Exact(Box::new(cut)));
             }
         }
         Some(Self { points })
     }
 
-    /// The two parts on both sides of the line through two of its points: point 2i is vertex i, point 2i + 1
-    /// the middle of the edge after it. The first part begins with `from`.
+    /// Divides the polygon along the line through two points of its border, and returns both parts.
+    ///
+    /// Point 2i is vertex i, and point 2i + 1 is the middle of the edge after vertex i. The first part begins
+    /// with `from`.
     pub fn divided(&self, from: u16, to: u16) -> [Self; 2] {
         let n = 2 * self.points.len();
         let part = |from: usize, to: usize| {
@@ -334,7 +355,7 @@ impl Polygon {
         [part(from, to), part(to, from)]
     }
 
-    fn point(&self, number: usize) -> Source {
+    fn point(&self, number: usize) -> PointOrigin {
         let n = self.points.len();
         let a = &self.points[number / 2];
         if number.is_multiple_of(2) {
@@ -344,10 +365,13 @@ impl Polygon {
         let mut middle: [IBig; 4] = std::array::from_fn(|k| &p[k] * &q[3] + &q[k] * &p[3]);
         middle[3] = &p[3] * &q[3] * IBig::from(2);
         primitive(&mut middle);
-        Source::Exact(Box::new(middle))
+        PointOrigin::Exact(Box::new(middle))
     }
 
-    /// Itself, or pieces around the first corner with few enough corners for one query each.
+    /// Splits the polygon into convex pieces that share the first corner and have few enough corners for one
+    /// query each.
+    ///
+    /// If the polygon already has few enough corners, the result contains only the polygon.
     pub fn pieces(self) -> Vec<Self> {
         if self.points.len() <= MOST_AT_ONCE {
             return vec![self];
@@ -364,10 +388,18 @@ impl Polygon {
         out
     }
 
-    /// Whether every corner is on the inner side of every edge, where doubles can tell: in the projection
-    /// along the axis nearest to the normal, with the bound of [`surely_not_collinear`].
+    /// Returns true if every corner is on the inner side of every edge.
+    ///
+    /// The result is `None` if doubles cannot decide this.
+    ///
+    /// The function tests the projection along the axis nearest to the normal, with the bound of
+    /// [`surely_not_collinear`].
     fn convex_in_doubles(&self) -> Option<bool> {
-        if self.points.iter().any(|p| matches!(p, Source::Exact(_))) {
+        if self
+            .points
+            .iter()
+            .any(|p| matches!(p, PointOrigin::Exact(_)))
+        {
             return None;
         }
         let n = self.points.len();
@@ -377,7 +409,7 @@ impl Polygon {
             .max_by(|i, j| normal[*i].abs().total_cmp(&normal[*j].abs()))
             .unwrap_or(0);
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
-        // All corners turn the same way, left or right.
+        // In a convex polygon, all corners turn in the same direction.
         let (mut left, mut right) = (true, true);
         for a in 0..n {
             let b = (a + 1) % n;
@@ -394,7 +426,7 @@ impl Polygon {
         Some(left || right)
     }
 
-    /// Whether every corner is on the inner side of every edge.
+    /// Returns true if every corner is on the inner side of every edge.
     fn convex(&self) -> bool {
         if let Some(known) = self.convex_in_doubles() {
             return known;
@@ -420,7 +452,7 @@ impl Polygon {
 }
 
 /// Drops corners on the line of their neighbours.
-fn drop_collinear(points: &mut Vec<Source>) {
+fn drop_collinear(points: &mut Vec<PointOrigin>) {
     // Dropping a corner can make its neighbours collinear.
     while let Some(i) = (0..points.len()).find(|i| {
         let n = points.len();
@@ -430,11 +462,11 @@ fn drop_collinear(points: &mut Vec<Source>) {
     }
 }
 
-/// The triangles of a polygon that is flat up to rounding.
-fn fan(points: &[Source]) -> Result<Vec<Polygon>, PolygonError> {
+/// Divides a polygon that is flat only up to rounding into triangles that share its first corner.
+fn fan(points: &[PointOrigin]) -> Result<Vec<Polygon>, PolygonError> {
     let p: Vec<DVec3> = points.iter().map(rounded).collect();
     let n = p.len();
-    // Twice the area times the mean normal (Newell).
+    // The sum is twice the area times the mean normal (Newell).
     let normal: DVec3 = (0..n)
         .map(|i| (p[i] - p[0]).cross(p[(i + 1) % n] - p[0]))
         .sum();
@@ -467,26 +499,30 @@ fn fan(points: &[Source]) -> Result<Vec<Polygon>, PolygonError> {
     }
 }
 
-/// A point as doubles.
-pub fn rounded(p: &Source) -> DVec3 {
+/// Converts a point in world space to doubles, rounded if needed.
+pub fn rounded(p: &PointOrigin) -> DVec3 {
     match p {
-        Source::Given(p) => *p,
-        Source::Exact(p) => DVec3::from(point_doubles(p)),
+        PointOrigin::Given(p) => *p,
+        PointOrigin::Exact(p) => DVec3::from(point_doubles(p)),
     }
 }
 
-/// For each coordinate whether [`rounded`] is not exactly it.
-pub fn is_rounded(p: &Source) -> [bool; 3] {
-    let Source::Exact(exact) = p else {
+/// Returns, for each coordinate of a point, true if [`rounded`] changes the coordinate.
+pub fn is_rounded(p: &PointOrigin) -> [bool; 3] {
+    let PointOrigin::Exact(exact) = p else {
         return [false; 3];
     };
-    let near = integers(&Source::Given(rounded(p)));
+    let near = integers(&PointOrigin::Given(rounded(p)));
     [0, 1, 2].map(|k| &near[k] * &exact[3] != &exact[k] * &near[3])
 }
 
-/// Whether three points are on a line.
-fn collinear(p: [&Source; 3]) -> bool {
-    if let [Source::Given(a), Source::Given(b), Source::Given(c)] = p
+/// Returns true if three points are on a line.
+fn collinear(p: [&PointOrigin; 3]) -> bool {
+    if let [
+        PointOrigin::Given(a),
+        PointOrigin::Given(b),
+        PointOrigin::Given(c),
+    ] = p
         && surely_not_collinear(*a, *b, *c)
     {
         return false;
@@ -495,8 +531,10 @@ fn collinear(p: [&Source; 3]) -> bool {
     plane([&a, &b, &c]).iter().take(3).all(IBig::is_zero)
 }
 
-/// Whether doubles show that three points are not on a line: a component of (b − a) × (c − a), the
-/// differences being exact, is off by 3u of the magnitudes of its products.
+/// Returns true if doubles show that three points are not on a line.
+///
+/// If the differences are exact, a component of (b − a) × (c − a) is off by at most 3u of the magnitudes of
+/// its products.
 fn surely_not_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let Some(rows) = differences(a, [b, c]) else {
         return false;
@@ -518,7 +556,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_are_checked_and_superfluous_ones_dropped() {
+    fn checked_rejects_bad_corners_and_drops_redundant_corners() {
         let square = v(&[
             [0.0, 0.0, 1.0],
             [1.0, 0.0, 1.0],
@@ -557,7 +595,7 @@ mod tests {
             error(&[[0.0; 3], [4.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 4.0, 0.0]]),
             PolygonError::NotConvex
         );
-        // A star winds twice: every turn is to the left, but it is no convex polygon.
+        // A star goes around twice: every turn is to the left, but the star is not a convex polygon.
         let star: Vec<DVec3> = (0..5)
             .map(|i| {
                 DVec3::new(
@@ -578,7 +616,7 @@ mod tests {
     }
 
     #[test]
-    fn many_corners_become_pieces() {
+    fn checked_splits_many_corners_into_pieces() {
         let parabola: Vec<DVec3> = (0..64)
             .map(f64::from)
             .map(|i| DVec3::new(i, i * i, 1.0))
@@ -589,7 +627,7 @@ mod tests {
                 .iter()
                 .all(|p| (3..=MOST_AT_ONCE).contains(&p.points().len()) && p.convex())
         );
-        // Triangles of the whole and of the pieces.
+        // The pieces consist of as many triangles as the whole polygon.
         assert_eq!(
             pieces.iter().map(|p| p.points().len() - 2).sum::<usize>(),
             62
@@ -597,7 +635,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_in_one_plane_up_to_rounding_become_a_fan() {
+    fn checked_turns_nearly_flat_corners_into_fan() {
         let bent = v(&[
             [0.0; 3],
             [1.0, 0.0, 0.0],
@@ -608,7 +646,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_meet_in_the_plane() {
+    fn parts_meet_in_plane() {
         let square = &Polygon::checked(&v(&[
             [0.0; 3],
             [1.0, 0.0, 0.0],

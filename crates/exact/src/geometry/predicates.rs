@@ -1,7 +1,8 @@
-//! On which side of a plane a point lies: in doubles with an error bound, then in integers.
+//! The side of a plane on which a point lies: computed in doubles with an error bound, then in integers.
 //!
-//! `sightline-scene` has the same predicates for points in single precision. The points here are doubles or
-//! intersections of an edge with a plane, and each has a bound on its rounding error.
+//! The module `sightline_geometry::predicates` has the same predicates for points in single precision. The
+//! points of this module are doubles or homogeneous integers; rounded points have a bound on their rounding
+//! error.
 
 use std::cmp::Ordering;
 
@@ -11,9 +12,9 @@ use sightline_geometry::predicates::{det3_small, differences};
 use sightline_geometry::rounding::UNIT as U;
 
 use crate::arithmetic::number::homogeneous;
-use crate::geometry::frame::{Point, Source};
+use crate::geometry::frame::{Point, PointOrigin};
 
-/// The sign of an integer.
+/// Returns the sign of an integer.
 pub fn sign(x: &IBig) -> Ordering {
     if x.is_zero() {
         Ordering::Equal
@@ -24,11 +25,13 @@ pub fn sign(x: &IBig) -> Ordering {
     }
 }
 
-/// The orientation of four points, the sign of (b − a) × (c − a) · (d − a), where doubles can tell.
+/// Computes the orientation of four points: the sign of (b − a) × (c − a) · (d − a).
 ///
-/// A difference is off by at most e: the errors of both points and a rounding. The determinant is then off by
-/// at most 6 products of one difference's error and the others' sizes for each of the three differences, and
-/// by 16u of the products' magnitudes for its own roundings (as in
+/// The result is `None` if doubles cannot decide the sign.
+///
+/// A difference is off by at most e: the errors of both points and a rounding. For each of the three
+/// differences, the determinant is then off by at most 6 products of its error and the sizes of the other
+/// differences. Its own roundings add 16u of the products' magnitudes (as in
 /// `sightline_geometry::predicates::orient3d_sign`).
 pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
     let d = |i: usize| -> ([f64; 3], f64, f64) {
@@ -49,7 +52,8 @@ pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
     })
 }
 
-/// The orientation of four homogeneous points with w > 0.
+/// Computes the orientation of four homogeneous points a, b, c, d with w > 0: the sign of (b − a) × (c − a) ·
+/// (d − a).
 pub fn orient_exact(p: [&[IBig; 4]; 4]) -> Ordering {
     let a = p[0];
     let d = |q: &[IBig; 4]| -> [IBig; 3] { std::array::from_fn(|k| &q[k] * &a[3] - &a[k] * &q[3]) };
@@ -58,23 +62,24 @@ pub fn orient_exact(p: [&[IBig; 4]; 4]) -> Ordering {
     sign(&(&x[0] * minor(1, 2) + &x[1] * minor(2, 0) + &x[2] * minor(0, 1)))
 }
 
-/// The determinant of four homogeneous points.
+/// Computes the determinant of four homogeneous points.
 pub fn determinant(p: [&[IBig; 4]; 4]) -> IBig {
     let [a, b, c, d] = p;
-    // By pairs of rows: Σ ± (minor of a, b) · (complementary minor of c, d).
+    // The expansion by pairs of rows is Σ ± (minor of a, b) · (complementary minor of c, d).
     let minor = |x: &[IBig; 4], y: &[IBig; 4], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
     let term = |i: usize, j: usize, k: usize, l: usize| minor(a, b, i, j) * minor(c, d, k, l);
     term(0, 1, 2, 3) - term(0, 2, 1, 3) + term(0, 3, 1, 2) + term(1, 2, 0, 3) - term(1, 3, 0, 2)
         + term(2, 3, 0, 1)
 }
 
-/// The orientation of four points in world space.
-pub fn orient(p: [&Source; 4]) -> Ordering {
+/// Computes the orientation of four points a, b, c, d in world space: the sign of (b − a) × (c − a) · (d −
+/// a).
+pub fn orient(p: [&PointOrigin; 4]) -> Ordering {
     if let [
-        Source::Given(a),
-        Source::Given(b),
-        Source::Given(c),
-        Source::Given(d),
+        PointOrigin::Given(a),
+        PointOrigin::Given(b),
+        PointOrigin::Given(c),
+        PointOrigin::Given(d),
     ] = p
         && let Some(sign) =
             orient_doubles(*a, *b, *c, *d).or_else(|| orient_small([*a, *b, *c, *d]))
@@ -85,8 +90,10 @@ pub fn orient(p: [&Source; 4]) -> Ordering {
     orient_exact([&a, &b, &c, &d])
 }
 
-/// The orientation of four points given in doubles, where doubles can tell. The bound is that of
-/// [`orient_points`] with exact points; where a product could underflow, integers decide.
+/// Computes the orientation of four points given in doubles, or returns `None` if doubles cannot decide it.
+///
+/// The bound is the bound of [`orient_points`] with exact points. The result is also `None` if a product
+/// could underflow or overflow.
 pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering> {
     let (x, y, z) = (b - a, c - a, d - a);
     let (m, n) = (
@@ -94,7 +101,7 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
         y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx(),
     );
     let (det, magnitude) = (x.dot(m), x.abs().dot(n));
-    // Underflow is negligible if the sum of products is far above the least normal double.
+    // Underflow is negligible if the sum of products is far above the smallest normal double.
     let safe = magnitude > 1e-200 && magnitude < 1e250 && x.abs().max_element() < 1e80;
     (safe && det.abs() > 16.0 * U * magnitude + 1e-280).then_some(if det > 0.0 {
         Ordering::Greater
@@ -103,24 +110,28 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
     })
 }
 
-/// The orientation of four points given in doubles, where they are integers of few bits times a power of two.
+/// Computes the orientation of four points, given in doubles, in integers of fixed width.
+///
+/// The result is `None` unless the differences of the points are integers of few bits times a common power of
+/// two.
 pub fn orient_small([a, b, c, d]: [DVec3; 4]) -> Option<Ordering> {
     differences(a, [b, c, d]).and_then(det3_small)
 }
 
-/// A point's exact homogeneous coordinates in world space.
-pub fn integers(p: &Source) -> [IBig; 4] {
+/// Returns a point's exact homogeneous coordinates in world space.
+pub fn integers(p: &PointOrigin) -> [IBig; 4] {
     match p {
-        Source::Given(p) => homogeneous(p.to_array()),
-        Source::Exact(p) => (**p).clone(),
+        PointOrigin::Given(p) => homogeneous(p.to_array()),
+        PointOrigin::Exact(p) => (**p).clone(),
     }
 }
 
-/// The plane (n, k), n·x = k, through three points that are not on a line; n points to the side from which
-/// they appear counter-clockwise.
+/// Computes the plane (n, k), n·x = k, through three points that are not on a line.
+///
+/// n points to the side from which the points appear counter-clockwise.
 pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
-    // The cofactors of the 3×4 matrix of homogeneous points; with w > 0 the first three are n up to a
-    // positive factor.
+    // These are the cofactors of the 3×4 matrix of homogeneous points. With w > 0, the first three are n up
+    // to a positive factor.
     let minor = |i: usize, j: usize, k: usize| {
         let [a, b, c] = p;
         &a[i] * (&b[j] * &c[k] - &b[k] * &c[j]) - &a[j] * (&b[i] * &c[k] - &b[k] * &c[i])
@@ -136,15 +147,16 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
     out
 }
 
-/// The plane (n, k) through two different points and along an axis that is not the direction from one to the
-/// other.
+/// Computes the plane (n, k) through two different points and parallel to an axis.
+///
+/// The axis must not be parallel to the line through both points.
 pub fn plane_along([a, b]: [&[IBig; 4]; 2], axis: usize) -> [IBig; 4] {
     let towards: [IBig; 4] =
         std::array::from_fn(|i| if i == axis { IBig::ONE } else { IBig::ZERO });
     plane([a, b, &towards])
 }
 
-/// n·x − k·w, whose sign says on which side of the plane the point is.
+/// Computes n·x − k·w. The sign is the side of the plane on which the point lies.
 pub fn height(plane: &[IBig; 4], p: &[IBig; 4]) -> IBig {
     &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
 }
@@ -165,7 +177,7 @@ mod tests {
             let d = |k: usize, i: usize| i64::from(p[k][i] - p[0][i]);
             let cross = |i: usize, j: usize| d(1, i) * d(2, j) - d(1, j) * d(2, i);
             let det = cross(1, 2) * d(3, 0) + cross(2, 0) * d(3, 1) + cross(0, 1) * d(3, 2);
-            let s = p.map(|q| Source::Given(DVec3::from(q.map(|c| f64::from(c) * f64::powi(2.0, e)))));
+            let s = p.map(|q| PointOrigin::Given(DVec3::from(q.map(|c| f64::from(c) * f64::powi(2.0, e)))));
             prop_assert_eq!(orient([&s[0], &s[1], &s[2], &s[3]]), det.cmp(&0));
             let x = [0, 1, 2, 3].map(|i| integers(&s[i]));
             prop_assert_eq!(orient_exact([&x[0], &x[1], &x[2], &x[3]]), det.cmp(&0));

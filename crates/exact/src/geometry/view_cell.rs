@@ -1,4 +1,4 @@
-//! A view cell: the box that contains the viewpoints.
+//! A view cell: a box of viewpoints.
 
 use glam::{DVec3, Vec3};
 use sightline_numbers::Aabb;
@@ -11,13 +11,15 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// The box between its least and greatest corner. None if it is empty, flat or not finite: no open set of
-    /// lines passes through a face without area.
+    /// Creates the cell between the corner `min` and the corner `max`.
+    ///
+    /// The result is `None` if the box is empty, flat or not finite, because no open set of lines passes
+    /// through a face without area.
     pub fn new(min: Vec3, max: Vec3) -> Option<Self> {
         (min.cmplt(max).all() && min.is_finite() && max.is_finite()).then_some(Self { min, max })
     }
 
-    /// The box.
+    /// Returns the box of the cell.
     pub fn bounds(&self) -> Aabb {
         Aabb {
             min: self.min,
@@ -25,29 +27,32 @@ impl Cell {
         }
     }
 
-    /// Least and greatest corner.
+    /// Returns the corners `min` and `max`.
     pub fn corners(&self) -> [Vec3; 2] {
         [self.min, self.max]
     }
 
-    /// All eight corners.
+    /// Returns all eight corners.
     pub fn all_corners(&self) -> [Vec3; 8] {
         let ends = self.corners();
         std::array::from_fn(|k| Vec3::new(ends[k & 1].x, ends[k >> 1 & 1].y, ends[k >> 2].z))
     }
 
-    /// Whether a closed box has a point in common with the closed cell.
-    pub fn touches(&self, of: Aabb) -> bool {
-        self.bounds().touches(&of)
+    /// Returns true if a closed box shares a point with the closed cell.
+    pub fn touches(&self, bounds: Aabb) -> bool {
+        self.bounds().touches(&bounds)
     }
 
-    /// How large a box looks from the cell: half its surface over the square of its distance. For comparisons
-    /// only.
+    /// Estimates the apparent size of the box from `min` to `max`, seen from the cell. The size has no unit
+    /// and serves only for comparisons.
+    ///
+    /// The size is half the box's surface over the square of its distance, which includes half the cell's
+    /// size.
     pub fn size_of(&self, min: Vec3, max: Vec3) -> f64 {
         let [lo, hi, min, max] = [self.min, self.max, min, max].map(|v| v.as_dvec3());
         let d = max - min;
         let apart = (min - hi).max(lo - max).max(DVec3::ZERO);
-        // Half the cell's size is added, so that no box has an infinite size.
+        // The distance includes half the cell's size, so that no box has an infinite size.
         let near = apart.length_squared() + 0.25 * (hi - lo).length_squared();
         (d.x * d.y + d.y * d.z + d.z * d.x) / near
     }

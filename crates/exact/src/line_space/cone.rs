@@ -1,34 +1,37 @@
-//! Regions of line space: convex cones in six dimensions, stored as extreme rays with the half-spaces tight
-//! at each.
+//! Regions of line space: convex cones in six dimensions, stored as extreme rays, each with the half-spaces
+//! tight at it.
 //!
-//! The double description method (Motzkin et al. 1953; Fukuda and Prodon 1996): a half-space splits a cone by
-//! keeping the rays on its side and adding one ray on every edge that it crosses. Two rays share an edge
-//! exactly when no third ray is tight wherever both are. Faces of other dimensions are not stored (Haumont et
-//! al. 2005). Signs are exact, so tight sets are exact too.
+//! The module uses the double description method (Motzkin et al. 1953; Fukuda and Prodon 1996). A half-space
+//! splits a cone by keeping the rays on its side and adding one ray on every edge that it crosses. Two rays
+//! share an edge exactly if no third ray is tight in all half-spaces that are tight at both. Faces of other
+//! dimensions are not stored (Haumont et al. 2005). Signs are exact, so tight sets are exact too.
 
 use std::cmp::Ordering;
 use std::rc::Rc;
 
 use crate::line_space::space::{Space, Tight, VectorId};
 
-/// Maximum number of half-spaces of a region; redundant ones are removed before a region is refused.
+/// The maximum number of half-spaces of a region.
+///
+/// [`Region::split`] removes redundant half-spaces before it returns an error.
 pub const MOST_HALVES: usize = 128;
 
 /// A pointed cone with interior points. Its vectors need not be real lines.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Extreme rays, each with the half-spaces that are tight at it.
+    /// The extreme rays, each with the half-spaces that are tight at it.
     pub rays: Vec<(VectorId, Tight)>,
-    /// The lines whose hyperplanes bound the region; a bit of [`Tight`] is an index here.
+    /// The lines whose hyperplanes bound the region. A bit of [`Tight`] is an index into this list.
     pub halves: Rc<[VectorId]>,
 }
 
-/// A region has more facets than [`MOST_HALVES`].
+/// The error that a region has [`MOST_HALVES`] facets, so that another half-space has no bit in [`Tight`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooComplex;
 
 impl Region {
-    /// On which side of a line's hyperplane each ray is.
+    /// Computes the side of a line's hyperplane on which each ray lies, and writes the sides to `out` in the
+    /// order of the rays.
     pub fn sides(&self, space: &mut Space, line: VectorId, out: &mut Vec<Ordering>) {
         out.clear();
         let known = self
@@ -50,7 +53,7 @@ impl Region {
         space.decisions.filtered += sure;
     }
 
-    /// The lines of a set of half-spaces.
+    /// Returns the lines whose hyperplanes bound the half-spaces of a set.
     pub fn tight(&self, set: Tight) -> impl Iterator<Item = VectorId> {
         Self::lines(&self.halves, set)
     }
@@ -63,11 +66,12 @@ impl Region {
             .map(|(_, h)| *h)
     }
 
-    /// Splits the region into the parts on the negative and on the positive side of a line. `sides` holds the
-    /// side of each ray; both sides must occur.
+    /// Splits the region into the parts on the negative and on the positive side of a line.
+    ///
+    /// `sides` contains the side of each ray; both sides must occur.
     ///
     /// # Errors
-    /// [`TooComplex`] when the region has as many facets as there are bits.
+    /// [`TooComplex`] if the region has [`MOST_HALVES`] facets, also without redundant half-spaces.
     pub fn split(
         &self,
         space: &mut Space,
@@ -90,7 +94,7 @@ impl Region {
         let halves: Rc<[VectorId]> = halves.into();
         let kept = |keep: Ordering| sides.iter().filter(|s| **s != keep.reverse()).count();
         let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
-            // Room for two cuts for each ray that is removed.
+            // The capacity has room for two cuts per removed ray.
             let most = 2 * sides.len() - kept(keep);
             let mut rays: Vec<(VectorId, Tight)> = Vec::with_capacity(most);
             rays.extend(
@@ -125,7 +129,10 @@ impl Region {
         Ok(parts)
     }
 
-    /// The region with one more half-space, which holds it; `sides` holds the side of each ray.
+    /// Returns the region with the half-space of `line` added to its list. The half-space must contain the
+    /// region.
+    ///
+    /// `sides` contains the side of each ray.
     pub fn within(&self, line: VectorId, sides: &[Ordering]) -> Self {
         let bit = 1u128 << self.halves.len();
         let tight = |side: &Ordering| if *side == Ordering::Equal { bit } else { 0 };
@@ -141,7 +148,8 @@ impl Region {
         }
     }
 
-    /// The region without the half-spaces that are tight at fewer than five rays; these bound no facet.
+    /// Returns the region without redundant half-spaces: a half-space that is tight at fewer than five rays
+    /// bounds no facet.
     pub fn compact(&self) -> Self {
         let kept: Vec<usize> = (0..self.halves.len())
             .filter(|h| {
@@ -172,9 +180,10 @@ impl Region {
     }
 }
 
-/// Tells which rays share an edge.
+/// The incidence of rays and half-spaces, which determines the rays that share an edge.
 struct Edges {
-    /// For each half-space, the rays at which it is tight, as bits; `None` for more than 128 rays.
+    /// For each half-space, the set of rays at which it is tight, one bit per ray; `None` if the region has
+    /// more than 128 rays.
     on: Option<Vec<u128>>,
 }
 
@@ -197,8 +206,8 @@ impl Edges {
     /// Calls `found` with each ray that shares an edge with ray `i`.
     ///
     /// The tight half-spaces of an extreme ray have rank 5. If exactly five are tight, any four of them are
-    /// tight along one edge and nowhere else, and the only other ray at which these four are tight is the
-    /// other end of the edge.
+    /// tight along one edge and nowhere else. The only other ray at which these four are tight is the other
+    /// end of the edge.
     fn neighbours(&self, region: &Region, i: usize, mut found: impl FnMut(usize)) {
         let tight = region.rays[i].1;
         match &self.on {
@@ -230,10 +239,12 @@ impl Edges {
         }
     }
 
-    /// Whether two rays share an edge: whether `common`, the half-spaces tight at both, are all tight at no
-    /// third ray.
+    /// Returns true if two rays share an edge.
+    ///
+    /// This is the case if no third ray is tight in all of `common`, the half-spaces tight at both.
     fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
-        // Along an edge at least four half-spaces are tight: an edge is a face of two of the six dimensions.
+        // At least four half-spaces are tight along an edge, because an edge is a face of two of the six
+        // dimensions.
         let mut left = common;
         for _ in 0..3 {
             left &= left.wrapping_sub(1);
@@ -258,8 +269,9 @@ impl Edges {
 
 #[cfg(test)]
 impl Region {
-    /// The rays that share an edge with ray `i`: as [`Edges`] finds them, and by testing all pairs against
-    /// all third rays.
+    /// Returns the rays that share an edge with ray `i`, computed in two ways.
+    ///
+    /// The first list is from [`Edges`]; the second is from tests of all pairs against all third rays.
     pub fn neighbours_twice(&self, i: usize) -> [Vec<usize>; 2] {
         let edges = Edges::new(self);
         let mut found = Vec::new();

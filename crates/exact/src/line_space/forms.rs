@@ -1,36 +1,40 @@
-//! The Klein form of one vector with many: with all rays of a region, and with sampled real lines inside it.
+//! The Klein form of one vector with many vectors: with all rays of a region, and with sampled real lines
+//! inside it.
 //!
-//! Rays are the corners of a region. The number of rays that an occluder blocks says little about how much of
-//! the region it blocks: an occluder in front of the middle may block no ray at all. Real lines inside the
-//! region are therefore counted as well.
+//! Rays are the corners of a region. The number of rays that an occluder blocks is a poor measure of the
+//! blocked part of the region: an occluder in front of the middle may block no ray at all. So the search also
+//! counts blocked real lines that this module samples inside the region.
 
 use crate::arithmetic::random::Random;
 use crate::line_space::cone::Region;
 use crate::line_space::space::{Space, klein};
 
-/// Combinations of two rays that are tried when real lines are sampled. Sampling gives at least half this
-/// number of lines, or none.
+/// The number of combinations of two rays that are tried when real lines are sampled.
+///
+/// [`Forms::sample`] adds at least half this number of lines, or none.
 const MIXED: usize = 32;
 
 /// The vectors of a region, stored by component so that loops over them vectorise.
 #[derive(Default)]
 pub struct Forms {
-    /// The components of all rays, followed by those of the sampled lines.
+    /// One list per Plücker coordinate: the coordinate of each ray, followed by the coordinate of each
+    /// sampled line.
     columns: [Vec<f64>; 6],
     rays: usize,
-    /// The mean of the rays.
+    /// The mean of the rays, component by component.
     pub centre: [f64; 6],
     /// The factor of the forms in [`Forms::row`]: 1 or −1.
     pub turn: f64,
     row: Vec<f64>,
-    /// For each ray, its greatest form with itself and the rays after it; kept to reuse its memory.
+    /// For each ray, its largest form with itself and the rays after it, times `turn`. The buffer is reused.
     pub farthest: Vec<f64>,
-    /// Combinations of rays on either side of the quadric, with their forms; kept to reuse the memory.
+    /// The combinations of two rays with a positive form, and the combinations with another form, each with
+    /// its form. The buffer is reused.
     mixed: [Vec<(f64, [f64; 6])>; 2],
 }
 
 impl Forms {
-    /// Starts with another region.
+    /// Replaces the stored rays by the rays of `region`, and removes the sampled lines.
     pub fn begin(&mut self, space: &Space, region: &Region) {
         self.columns.iter_mut().for_each(Vec::clear);
         self.rays = region.rays.len();
@@ -50,10 +54,15 @@ impl Forms {
         self.turn = 1.0;
     }
 
-    /// Adds real lines inside the region, the same on every call; adds none if all combinations are on one
-    /// side of the quadric. Returns the number of rays and lines.
+    /// Samples real lines inside the region, adds them after the rays, and returns the number of rays and
+    /// lines.
     ///
-    /// Each line is the point in which the segment between combinations on different sides meets the quadric.
+    /// Every call replaces the sampled lines by the same lines.
+    ///
+    /// The function adds no lines if all tried combinations of two rays are on one side of the Klein quadric.
+    ///
+    /// Each line is the point at which the segment between two combinations on different sides meets the
+    /// quadric.
     pub fn sample(&mut self) -> usize {
         self.columns.iter_mut().for_each(|c| c.truncate(self.rays));
         let mut random = Random::new(0, 0);
@@ -85,12 +94,13 @@ impl Forms {
         self.columns[0].len()
     }
 
-    /// The forms of all rays, and of the lines sampled so far, with a line.
+    /// Computes the Klein form of `line` with each ray and then with each sampled line, and writes the forms
+    /// to `out`.
     pub fn against(&self, line: &[f64; 6], out: &mut Vec<f64>) {
         forms(self.columns.each_ref().map(|c| &c[..]), *line, out);
     }
 
-    /// The forms of ray `i` with itself and all rays after it.
+    /// Computes the Klein forms of ray `i` with itself and with all rays after it, times [`Forms::turn`].
     pub fn row(&mut self, i: usize) -> &[f64] {
         let columns = self.columns.each_ref().map(|c| &c[i..self.rays]);
         let ray = columns.map(|c| self.turn * c[0]);
@@ -99,11 +109,11 @@ impl Forms {
     }
 }
 
-/// The forms of one vector with many, given by columns.
+/// Computes the Klein forms of one vector with many vectors, which are given as one list per coordinate.
 fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
     let n = columns[0].len();
     out.resize(n, 0.0);
-    // Slices of equal length, so that the loop has no bounds checks and vectorises.
+    // The slices have equal length, so that the loop has no bounds checks and vectorises.
     let [a, b, c, d, e, f] = columns.map(|c| &c[..n]);
     let out = &mut out[..n];
     let [p, q, r, s, t, u] = with;
@@ -112,7 +122,9 @@ fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
     }
 }
 
-/// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.
+/// Computes the t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² is 0.
+///
+/// c and e must have different signs.
 pub fn crossing(c: f64, m: f64, e: f64) -> f64 {
     // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, computed without cancellation.
     let root = (m * m - c * e).sqrt();
@@ -135,7 +147,8 @@ mod tests {
     use super::*;
     use crate::geometry::frame::Frame;
 
-    /// The forms of a region with these rays; their tight half-spaces do not matter here.
+    /// Creates the forms of a region with the given rays. The tight half-spaces of the rays do not matter
+    /// here.
     fn forms_of(rays: &[[f64; 6]]) -> Forms {
         let corners = [DVec3::ZERO, DVec3::X, DVec3::Y].map(|p| p + DVec3::Z);
         let mut space = Space::new(Frame::around(&[DVec3::ZERO, DVec3::X, DVec3::Y], &corners));
@@ -158,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_real_and_in_the_region() {
+    fn sampled_lines_are_real_and_in_region() {
         let mut forms = forms_of(&axes(-1.0));
         let many = forms.sample();
         assert!(many >= 6 + MIXED / 2);
@@ -176,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_none_where_the_form_has_one_sign() {
+    fn sample_adds_no_lines_if_form_has_one_sign() {
         let mut rays = axes(1.0);
         (0..6).for_each(|k| rays[k][(k + 3) % 6] = 0.5);
         assert_eq!(forms_of(&rays).sample(), 6);

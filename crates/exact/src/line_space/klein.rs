@@ -1,8 +1,8 @@
-//! Which regions contain real lines: the signs of the Klein form on a cone.
+//! Regions that contain real lines: the signs of the Klein form on a cone.
 //!
-//! A ray x is a real line when K(x, x) = 0, and a region contains an open set of real lines exactly when K
-//! takes both signs on it. If K ≥ 0 (or ≤ 0) on all pairs of its extreme rays, the same holds on the whole
-//! cone, since every interior ray is a positive combination of them. These signs are the certificate that the
+//! A ray x is a real line if K(x, x) = 0. A region contains an open set of real lines exactly if K has both
+//! signs on it. If K ≥ 0 (or ≤ 0) on all pairs of its extreme rays, the same holds on the whole cone, because
+//! every interior ray is a positive combination of extreme rays. These signs are the certificate that the
 //! region contains no open set of real lines.
 
 use std::cmp::Ordering;
@@ -20,30 +20,33 @@ use crate::line_space::space::{Space, VectorId, klein, klein_exact};
 /// The result of the search for real lines in a region.
 #[derive(Clone, Debug)]
 pub enum Contents {
-    /// No open set of real lines, proved.
+    /// The region contains no open set of real lines; this is proved.
     Nothing,
-    /// Real lines, rounded; the one deepest inside comes first.
+    /// The region contains these real lines, as Plücker coordinates rounded to doubles. The line nearest to
+    /// the region's centre comes first.
     Lines(Vec<[f64; 6]>),
-    /// The signs of pairs of rays differ, but doubles find no real line inside.
+    /// The Klein form has both signs on pairs of the region's rays, but the computation in doubles finds no
+    /// real line inside.
     Unsure,
 }
 
-/// Looks for real lines in a region; up to `most` of them.
+/// Searches for at most `most` real lines in a region.
 pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut Forms) -> Contents {
     let n = region.rays.len();
     forms.begin(space, region);
     let at_centre = klein(&forms.centre, &forms.centre);
     forms.turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
-    // The greatest error of a form of two rays: no component exceeds 1, and the sum of six is at most 6.
+    // The bound is the largest error of a form of two rays. No component exceeds 1, and the sum of six
+    // products is at most 6.
     let error = region
         .rays
         .iter()
         .fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
     let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
-    // The number of certain signs is a double so that the loop vectorises.
+    // `sure`, the number of signs that the filter determines, is a double so that the loop vectorises.
     let (mut right, mut wrong, mut sure) = (false, false, 0.0f64);
-    // For each ray, how far its pairs with itself and later rays reach to the side of the quadric opposite
-    // the centre.
+    // For each ray, the largest distance that its pairs with itself and later rays reach to the side of the
+    // quadric opposite the centre.
     let mut farthest = std::mem::take(&mut forms.farthest);
     farthest.clear();
     for i in 0..n {
@@ -68,7 +71,7 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
             break;
         }
         let j = i + forms.row(i).iter().position(|v| *v == value).unwrap_or(0);
-        // Smaller values of the form are rounding errors and would give lines that are not real.
+        // Values of the form below `noise` can be rounding errors and would lead to lines that are not real.
         let noise = 64.0 * U + 16.0 * error;
         let (a, b) = (
             space.rounded(region.rays[i].0),
@@ -77,7 +80,7 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
         let Some(end) = beyond(a, b, at_centre, noise) else {
             continue;
         };
-        // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
+        // The line is the root of K((1−t)c + te) = 0, where K(c) and K(e) have different signs.
         let (c, m, e) = (at_centre, klein(&forms.centre, &end), klein(&end, &end));
         let t = crossing(c, m, e);
         lines.push((
@@ -97,8 +100,10 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
     Contents::Lines(lines.into_iter().map(|l| l.1).collect())
 }
 
-/// Whether the form has both signs on pairs of rays, where filters have shown at most one of them (`right` or
-/// `wrong`). Integers decide the remaining pairs.
+/// Returns true if the Klein form has both signs on pairs of the region's rays.
+///
+/// The filter has found at most one of the two signs so far: `right` or `wrong`. The function decides the
+/// pairs within the filter's error `bound` with exact arithmetic.
 fn both_signs(
     space: &mut Space,
     region: &Region,
@@ -106,7 +111,7 @@ fn both_signs(
     bound: f64,
     [right, wrong]: [bool; 2],
 ) -> bool {
-    // The lines each ray is on, filled when first needed.
+    // For each ray, the lines whose hyperplanes contain the ray, filled on first use.
     let mut on: Vec<Vec<VectorId>> = vec![Vec::new(); region.rays.len()];
     let turned = forms.turn < 0.0;
     let (mut positive, mut negative) = (
@@ -126,7 +131,7 @@ fn both_signs(
                     on[k].extend(region.tight(region.rays[k].1));
                 }
             }
-            match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
+            match space.rays_side(region.rays[i].0, &on[i], region.rays[j].0, &on[j]) {
                 Ordering::Greater => positive = true,
                 Ordering::Less => negative = true,
                 Ordering::Equal => {}
@@ -139,11 +144,14 @@ fn both_signs(
     false
 }
 
-/// The combination of two rays on which K is farthest from the sign of `from`; none when it keeps that sign.
+/// Returns the combination (1 − t)a + tb of two rays, t in [0, 1], at which K has the sign opposite to the
+/// sign of `from` and the largest magnitude.
+///
+/// The result is `None` if this magnitude is at most `noise` for every t.
 fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]> {
     let turn = if from > 0.0 { -1.0 } else { 1.0 };
     let (p, q, r) = (turn * klein(a, a), turn * klein(a, b), turn * klein(b, b));
-    // p(1−t)² + 2q t(1−t) + r t², greatest where its slope vanishes if it bends downwards.
+    // The maximum of p(1−t)² + 2q t(1−t) + r t² is where its slope is 0, if it bends downwards.
     let bend = p - 2.0 * q + r;
     let t = if bend < 0.0 {
         ((p - q) / bend).clamp(0.0, 1.0)
@@ -156,17 +164,21 @@ fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]>
     (value > noise).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
 }
 
-/// Bits of rays and parameters where doubles are too coarse.
+/// The number of bits of the integer components of rays, used if doubles are too coarse.
 const FINE: usize = 256;
 
-/// The form of two rounded vectors has the right sign if its magnitude exceeds this: the bound of
-/// [`contents`] with an error of u for each vector.
+/// The magnitude above which the Klein form of two rounded vectors has the sign of the exact form.
+///
+/// The value is the bound of [`contents`] with an error of u for each vector.
 const SURELY: f64 = 64.0 * U;
 
-/// Pairs of rays that are tried in integers, since rounding may rank them wrongly.
+/// The maximum number of pairs of rays for which [`precise`] computes a combination in integers. More than
+/// one pair is needed because rounding errors can change the ranking of the pairs.
 const MOST_TRIED: usize = 8;
 
-/// The rays of a region as integers truncated to 256 bits. They affect where the search looks and no verdict.
+/// Returns the rays of a region as integers truncated to 256 bits.
+///
+/// The truncation affects the lines that the search tries, but does not affect a verdict.
 pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
     region
         .rays
@@ -187,8 +199,11 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
         .collect()
 }
 
-/// A line inside a region, on the quadric up to 2⁻²⁵⁶, for regions too thin for doubles. None if no pair of
-/// rays shows a change of sign.
+/// Computes a line inside a region that is too thin for doubles, as Plücker coordinates. The line is on the
+/// Klein quadric up to a rounding of about 2⁻²⁵⁶.
+///
+/// Returns `None` if the Klein form has no sign opposite to the sign at the region's centre, neither at an
+/// extreme ray nor at a tried combination of two extreme rays.
 pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let sum =
@@ -201,9 +216,9 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
         1.0
     };
     let wrong = |x: IBig| if turn < 0.0 { -x } else { x };
-    // Doubles rank the pairs by how far they reach to the other side; integers decide the signs.
+    // Doubles rank the pairs by the distance that they reach to the other side; integers decide the signs.
     let near: Vec<[f64; 6]> = rays.iter().map(rounded).collect();
-    // Scaled like the doubles, so that products do not overflow.
+    // The forms are scaled like the doubles, so that products do not overflow.
     let scale = f64::powi(2.0, -2 * FINE as i32);
     let form = |i: usize, j: usize| wrong(klein_exact(&rays[i], &rays[j])).to_f64().value() * scale;
     let own: Vec<f64> = (0..rays.len()).map(|i| form(i, i)).collect();
@@ -211,7 +226,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     for (i, a) in near.iter().enumerate() {
         pairs.push((own[i], i, i));
         for (j, b) in near.iter().enumerate().skip(i + 1) {
-            // No combination of the two rays has a form above max(p, q, r), and the greatest form is between
+            // No combination of the two rays has a form above max(p, q, r), and the largest form is between
             // the rays only if q is this maximum.
             if turn * klein(a, b) < -SURELY {
                 continue;
@@ -222,7 +237,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
             }
         }
     }
-    // Pairs whose sign is within the rounding error are kept, too.
+    // Keep pairs whose value is within the rounding error of 0; integers decide their signs.
     pairs.retain(|pair| pair.0 > -1e-14);
     pairs.sort_by(|x, y| y.0.total_cmp(&x.0));
     let mixed = |(i, j): (usize, usize)| -> [IBig; 6] {
@@ -242,7 +257,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     if c.is_zero() {
         return Some(centre);
     }
-    // As in `crossing`: e s² + 2m s + c = 0 for the line through centre + s·end, s = n/d.
+    // As in `crossing`, e s² + 2m s + c = 0 holds for the line through centre + s·end, with s = n/d.
     let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
     let under = &m * &m - &c * &e;
     let up = FINE.saturating_sub(under.bit_len() / 2);

@@ -1,10 +1,10 @@
-//! Splitting a region by a polar hyperplane, where pairs of its rays have both signs of the Klein form and no
-//! real line inside was found.
+//! The split of a region by a polar hyperplane. It is used if pairs of the region's rays have both signs of
+//! the Klein form and no real line inside was found.
 //!
-//! Let K(a, a), K(b, b) < 0 < K(a, b), or all signs reversed. For any α, β > 0 the hyperplane polar to βb −
-//! αa has a on one side and b on the other: K(a, βb − αa) = βK(a, b) − αK(a, a) and K(b, βb − αa) = βK(b, b)
-//! − αK(a, b) have different signs. So neither part contains that pair, and the new rays between a and b are
-//! nearer to each.
+//! Let K(a, a), K(b, b) < 0 < K(a, b), or all signs reversed. For any α, β > 0, the hyperplane polar to βb −
+//! αa has a on one side and b on the other. The reason is that K(a, βb − αa) = βK(a, b) − αK(a, a) and K(b,
+//! βb − αa) = βK(b, b) − αK(a, b) have different signs. So neither part contains that pair, and the new rays
+//! between a and b are nearer to each.
 
 use std::cmp::Ordering;
 
@@ -17,15 +17,19 @@ use crate::line_space::cone::Region;
 use crate::line_space::klein::fine;
 use crate::line_space::space::{Space, klein, klein_exact};
 
-/// Bits of a hyperplane's components, unless the split needs more.
+/// The number of bits of a hyperplane's components, unless the split needs more.
 const SHORT: usize = 64;
 
-/// The Plücker vector of a hyperplane, in world space, and the parts of a region on its negative and positive
-/// side.
+/// A hyperplane's Plücker vector in world space, and the two parts of a region.
+///
+/// The parts are on the negative and on the positive side of the hyperplane.
 pub type PolarSplit = ([IBig; 6], [Region; 2]);
 
-/// Splits a region by a hyperplane chosen in doubles or, if that one does not split it, by the shortest
-/// working hyperplane chosen in integers.
+/// Splits a region by a polar hyperplane.
+///
+/// The hyperplane is chosen in doubles. If that hyperplane does not split the region, the function chooses
+/// one in integers and uses the fewest bits that split the region, at most 512. The result is `None` if no
+/// tried hyperplane splits the region.
 pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     if let Some(polar) = in_doubles(space, region)
         && let Some(found) = split_by(space, region, &integers(polar).0, SHORT)
@@ -36,7 +40,10 @@ pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     (1..4).find_map(|k| split_by(space, region, &polar, SHORT << k))
 }
 
-/// Splits a region by the hyperplane polar to a vector of the frame, truncated in world space to `bits` bits.
+/// Splits a region by the hyperplane polar to `polar`, a vector in the frame.
+///
+/// The function truncates the hyperplane's components in world space to `bits` bits. The result is `None` if
+/// the region's rays are not on both sides of the truncated hyperplane.
 fn split_by(
     space: &mut Space,
     region: &Region,
@@ -63,7 +70,8 @@ fn split_by(
     Some((polar, parts))
 }
 
-/// In doubles: the hyperplane for the two rays whose form is farthest from the sign of the centre.
+/// Computes, in doubles, the hyperplane for two rays a and b. K(a, b) has the sign opposite to the sign of K
+/// at the region's centre, and no other pair of rays has such a form with a larger magnitude.
 fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
     let x: Vec<[f64; 6]> = region
         .rays
@@ -87,14 +95,16 @@ fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
         }
     }
     let (_, i, j) = best?;
-    // Both rays are scaled to the same length in the form.
+    // Scale both rays so that the magnitude of each ray's form with itself is 1.
     let size = |v: &[f64; 6]| klein(v, v).abs().sqrt().max(1e-6);
     let (p, q) = (size(&x[i]), size(&x[j]));
     Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
 }
 
-/// In integers: the hyperplane for the two rays whose mutual form has the sign opposite to both of their own
-/// forms and is greatest relative to these.
+/// Computes, in integers, the hyperplane for the two rays a and b with the largest mutual form K(a, b).
+///
+/// The mutual form must have the sign opposite to both own forms, K(a, a) and K(b, b). Its size is measured
+/// relative to the own forms, as K(a, b)² / (K(a, a) K(b, b)).
 ///
 /// If the own form of a ray is 0 or the two own forms have different signs, a combination of the two rays is
 /// a real line, and [`crate::line_space::klein::precise`] finds it.
@@ -117,7 +127,7 @@ fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
         }
     }
     let (_, i, j) = best?;
-    // Scaled to about the same size; the split is correct for any factors.
+    // The rays are scaled to about the same size; the split is correct for any factors.
     let bits = |x: &IBig| x.bit_len() / 2;
     let (p, q) = (bits(&own[i]), bits(&own[j]));
     let (up, over) = (p.saturating_sub(q), q.saturating_sub(p));
@@ -136,7 +146,8 @@ mod tests {
     use crate::line_space::forms::Forms;
     use crate::line_space::klein::{self, Contents, contents};
 
-    /// Six vectors within 2^−`apart` of one real line, each a little off the quadric, to the same side.
+    /// Creates six vectors within 2^−`apart` of one real line, each a little off the quadric to the same
+    /// side.
     fn nearly_one(random: &mut Random, apart: usize) -> [[IBig; 6]; 6] {
         let mut any = || IBig::from((random.unit() * f64::powi(2.0, 40)) as i64) << apart;
         std::array::from_fn(|_| {
@@ -156,8 +167,8 @@ mod tests {
         Space::new(Frame::around(&square(0.0), &square(3.0)))
     }
 
-    fn simplex(space: &mut Space, of: &[[IBig; 6]; 6]) -> Region {
-        let (rays, halves) = space.simplex(of);
+    fn simplex(space: &mut Space, corner_rays: &[[IBig; 6]; 6]) -> Region {
+        let (rays, halves) = space.simplex(corner_rays);
         Region {
             rays,
             halves: halves.into(),
@@ -165,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn precise_lines_are_real_and_inside() {
+    fn precise_lines_are_real_and_inside_region() {
         let mut random = Random::new(5, 0);
         let mut found = 0;
         for round in 0..800 {
@@ -194,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_line_is_found_in_can_be_split_until_it_shows() {
+    fn polar_splits_decide_regions_without_found_lines() {
         let mut random = Random::new(7, 0);
         let (mut forms, mut finely) = (Forms::default(), 0);
         for round in 0..2000 {
@@ -217,7 +228,7 @@ mod tests {
                 );
                 splits += 1;
                 assert!(
-                    splits <= crate::search::Limits::default().splits,
+                    splits <= crate::search::QueryLimits::default().splits,
                     "a query would end before"
                 );
                 let (_, parts) = split(&mut space, &region).expect("a pair has the other sign");

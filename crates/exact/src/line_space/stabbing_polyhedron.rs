@@ -1,20 +1,20 @@
 //! The stabbing polyhedron of two polygons: the lines from A to B as a region of line space (Nirenstein 2003,
 //! section 5.2).
 //!
-//! Every edge of A and of B bounds it, and the line k in which the two planes meet lies on all of those
-//! hyperplanes, so the polyhedron is a cone extruded along ±k (Nirenstein 2003, theorem 5.1). In the quotient
-//! by k its extreme rays are the vertex pairs, except that a vertex on the other polygon's plane makes one
-//! ray with all of its vertices: the quotient is {(P, Q) ∈ cone A × cone B : g(P) = h(Q)}, with g and h the
-//! heights over the other's plane. The tight half-spaces of each ray are therefore known without a
-//! computation, also where the polygons touch each other's planes (Nirenstein 2003, section 5.2.6).
+//! Every edge of A and of B bounds the polyhedron. The line k in which the two planes meet lies on the
+//! hyperplanes of all edges, so the polyhedron is a cone extruded along ±k (Nirenstein 2003, theorem 5.1). In
+//! the quotient by k, the extreme rays are the vertex pairs, except that a vertex on the other polygon's
+//! plane makes one ray with all of that polygon's vertices. The quotient is {(P, Q) ∈ cone A × cone B : g(P)
+//! = h(Q)}, with g and h the heights over the other's plane. So the tight half-spaces of each ray are known
+//! without a computation, also if the polygons touch each other's planes (Nirenstein 2003, section 5.2.6).
 //!
-//! Two caps make it bounded (Nirenstein 2003, section 5.2.5): hyperplanes with all vertex-pair lines on one
-//! side and k, or −k, on the other. Any such hyperplanes are correct; these are fitted to the pair. No
-//! vertex-pair line lies on or beyond a cap, so a proof for the capped region also holds for the hull of the
-//! vertex-pair lines, the region that certificates refer to.
+//! Two caps make the polyhedron bounded (Nirenstein 2003, section 5.2.5): hyperplanes with all vertex-pair
+//! lines on one side and k, or −k, on the other. Any such hyperplanes are correct; the caps in this module
+//! are fitted to the pair. No vertex-pair line lies on or beyond a cap. So a proof for the capped region also
+//! holds for the hull of the vertex-pair lines, the region that certificates refer to.
 //!
-//! Where a vertex of A and a vertex of B lie on k, k or −k is itself a vertex-pair line, and an apex replaces
-//! the cap on its side. Where both occur (the polygons overlap along k), a hyperplane across k cuts the
+//! If a vertex of A and a vertex of B lie on k, then k or −k is itself a vertex-pair line, and an apex
+//! replaces the cap on its side. If both occur (the polygons overlap along k), a hyperplane across k cuts the
 //! region in two.
 
 use std::cmp::Ordering;
@@ -29,38 +29,47 @@ use crate::line_space::space::{Space, Through, VectorId};
 
 /// Two polygons, each on one side of the other's plane, and the lines between them.
 pub struct Pair {
-    /// The vertices of A, points of the space.
+    /// The vertices of A, as indices of points of the space.
     pub a: Vec<u32>,
-    /// The vertices of B.
+    /// The vertices of B, as indices of points of the space.
     pub b: Vec<u32>,
-    /// Which side of A's plane B is on, as [`Space::orient`] gives it for the first three vertices of A.
+    /// The side of A's plane that contains B, as [`Space::orient`] returns it for the first three vertices of
+    /// A.
     pub ahead: Ordering,
-    /// Which side of B's plane A is on.
+    /// The side of B's plane that contains A.
     pub behind: Ordering,
-    /// The lines from A to B: one region, or two.
+    /// The lines from A to B, as one or two regions of line space.
     pub regions: Vec<Region>,
-    /// The greatest magnitude of a coordinate of A or B in the world.
+    /// The largest magnitude of a coordinate of A or B in world space.
     pub size: f64,
-    /// Triangles tested so far: whether each lies in A's plane, and whether in B's.
+    /// For each triangle tested so far, two flags: true if the triangle lies in A's plane, and true if it
+    /// lies in B's plane.
     pub flat: FxHashMap<u32, [bool; 2]>,
 }
 
-/// No stabbing polyhedron was constructed: the polygons are too thin, or too near to each other's planes, for
-/// doubles to fit a cap, or they have more edges than a region may have half-spaces. Their halves may
-/// succeed.
+/// The error that no stabbing polyhedron was constructed.
+///
+/// The polygons are too thin, or too near to each other's planes, for doubles to fit a cap, or they have more
+/// edges than a region may have half-spaces. A query for halves of the polygons can succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoCaps;
 
-/// Constructs the region of lines from `a` to `b`. Neither polygon may lie in the other's plane or have
-/// vertices on both sides of it. `a_sides` holds the sides of B's plane on which A's vertices lie, `b_sides`
-/// the sides of A's plane on which B's vertices lie.
+/// Adds the vertices and edges of both polygons to the space, and constructs the regions of lines from `a` to
+/// `b`.
+///
+/// Neither polygon may lie in the other's plane or have vertices on both sides of it. `a_sides` contains the
+/// sides of B's plane on which A's vertices lie, and `b_sides` the sides of A's plane on which B's vertices
+/// lie.
 ///
 /// # Errors
-/// [`NoCaps`]; halves of the polygons may succeed.
+/// [`NoCaps`] if the function cannot construct a stabbing polyhedron. Halve one of the polygons and try
+/// again.
 pub fn stabbing(
     space: &mut Space,
-    (a, a_sides): (&Polygon, &[Ordering]),
-    (b, b_sides): (&Polygon, &[Ordering]),
+    a: &Polygon,
+    a_sides: &[Ordering],
+    b: &Polygon,
+    b_sides: &[Ordering],
 ) -> Result<Pair, NoCaps> {
     if a.points().len() + b.points().len() + 2 > MOST_HALVES {
         return Err(NoCaps);
@@ -70,8 +79,8 @@ pub fn stabbing(
             .points()
             .iter()
             .map(|s| match s {
-                crate::geometry::frame::Source::Given(p) => space.frame().given(*p),
-                crate::geometry::frame::Source::Exact(p) => space.frame().exact((**p).clone()),
+                crate::geometry::frame::PointOrigin::Given(p) => space.frame().given(*p),
+                crate::geometry::frame::PointOrigin::Exact(p) => space.frame().exact((**p).clone()),
             })
             .collect();
         points.into_iter().map(|p| space.point(p)).collect()
@@ -99,14 +108,14 @@ pub fn stabbing(
     let mut halves = edges(space, &pa);
     halves.extend(edges(space, &pb));
     let (n, m) = (pa.len(), pb.len());
-    // The bits of the two edges at a vertex, and of all edges of a polygon.
+    // `at` returns the bits of the two edges at a vertex, and `all` the bits of all edges of a polygon.
     let at = |i: usize, n: usize, first: usize| {
         1u128 << (first + i) | 1u128 << (first + (i + n - 1) % n)
     };
     let all = |n: usize, first: usize| ((1u128 << n) - 1) << first;
     // One line for each ray of the quotient, and the edges tight there.
     let mut quotient: Vec<(VectorId, u128)> = Vec::with_capacity(n * m);
-    // All vertex-pair lines except those along k. The caps must keep them.
+    // All vertex-pair lines except lines along k. Both caps must have these lines on their inner side.
     let mut lines: Vec<VectorId> = Vec::with_capacity(n * m);
     let mut along: Vec<VectorId> = Vec::new();
     let mut across = None;
@@ -130,8 +139,8 @@ pub fn stabbing(
             } else {
                 at(j, m, n)
             };
-            // A vertex on the other polygon's plane makes one ray, with the first partner that is off its own
-            // plane.
+            // A vertex on the other polygon's plane makes one ray, with the first partner off the vertex's
+            // own plane.
             let seen = if gi == Ordering::Equal {
                 std::mem::replace(&mut on_plane, true)
             } else {
@@ -161,8 +170,8 @@ pub fn stabbing(
     let mut regions = Vec::with_capacity(2);
     let apex = all(n + m, 0);
     if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
-        // `middle` joins two vertices, each off the other polygon's plane, so it does not meet k. Its
-        // hyperplane separates the part with k from the part with −k.
+        // `middle` joins two vertices, each off the other polygon's plane, so it does not meet k. The
+        // hyperplane of `middle` separates the part with k from the part with −k.
         let mut base: Vec<(VectorId, u128)> = Vec::with_capacity(quotient.len());
         for (line, tight) in &quotient {
             base.push((onto(space, *line, [k, minus], middle), tight | 1 << (n + m)));
@@ -176,7 +185,7 @@ pub fn stabbing(
             });
         }
     } else {
-        let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
+        let (top, bottom) = caps(space, &halves, n, &lines, k)?;
         let mut rays: Vec<(VectorId, u128)> = Vec::with_capacity(2 * quotient.len());
         let mut halves = halves;
         for (cap, apex_there, sign) in [(top, ends_up, true), (bottom, ends_down, false)] {
@@ -206,13 +215,13 @@ pub fn stabbing(
     })
 }
 
-/// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
+/// Returns the ray of the family `line` + t·k that is on the hyperplane `cap`. The pair contains k and −k.
 fn onto(space: &mut Space, line: VectorId, [k, minus]: [VectorId; 2], cap: VectorId) -> VectorId {
     let side = space.side(line, cap);
     if side == Ordering::Equal {
         return line;
     }
-    // The direction that changes the side: k if k is on the other side, −k if not.
+    // The direction that changes the side is k if k is on the other side, and −k otherwise.
     let way = if space.side(k, cap) == side { minus } else { k };
     space.cut([line, way], cap, Vec::new)
 }
@@ -222,13 +231,16 @@ fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
     x == *space.point_exact(q)
 }
 
-/// The hyperplanes above and below all lines along k.
+/// Fits two caps: the first separates all of `lines` from k, and the second separates them from −k. The first
+/// `a_count` edges belong to A.
 ///
-/// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of
-/// the edges' functionals always is, but nearly vanishes on polygons that nearly lie in one plane.
+/// The functional σ of [`Caps`] is the sum of the lines if this sum is positive on all lines, as for most
+/// pairs. Otherwise σ is the sum of the edges' functionals. The latter is always positive, but nearly 0 on
+/// polygons that nearly lie in one plane.
 fn caps(
     space: &mut Space,
-    edges: (&[VectorId], usize),
+    edges: &[VectorId],
+    a_count: usize,
     lines: &[VectorId],
     k: VectorId,
 ) -> Result<(VectorId, VectorId), NoCaps> {
@@ -238,12 +250,12 @@ fn caps(
     };
     let mean = mean(space, lines, k);
     both(space, mean).or_else(|NoCaps| {
-        let sum = edge_sum(space, edges, lines);
+        let sum = edge_sum(space, edges, a_count, lines);
         both(space, sum)
     })
 }
 
-/// The mean of the lines as a functional, made to vanish on k.
+/// Computes the sum of the lines minus its component along k: a functional that is 0 at k.
 fn mean(space: &Space, lines: &[VectorId], k: VectorId) -> [f64; 6] {
     let k_at = space.rounded(k);
     let mean: [f64; 6] =
@@ -252,17 +264,16 @@ fn mean(space: &Space, lines: &[VectorId], k: VectorId) -> [f64; 6] {
     std::array::from_fn(|i| mean[i] - along * k_at[i])
 }
 
-/// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all
-/// of them.
-fn edge_sum(
-    space: &mut Space,
-    (edges, of_a): (&[VectorId], usize),
-    lines: &[VectorId],
-) -> [f64; 6] {
+/// Computes the sum of the functionals of all edges.
+///
+/// The function negates the functionals of a polygon if needed, so that no line is on their negative side.
+///
+/// Every functional is 0 at the line k. The first `a_count` edges belong to A.
+fn edge_sum(space: &mut Space, edges: &[VectorId], a_count: usize, lines: &[VectorId]) -> [f64; 6] {
     let mut sum = [0.0; 6];
-    for polygon in [&edges[..of_a], &edges[of_a..]] {
-        // A line passes all edges of a convex polygon on the same side, so the first line found off an edge
-        // tells the side.
+    for polygon in [&edges[..a_count], &edges[a_count..]] {
+        // A line passes all edges of a convex polygon on the same side, so the first line that is off an edge
+        // determines the side.
         let side = polygon
             .iter()
             .flat_map(|e| lines.iter().map(move |l| (*e, *l)))
@@ -275,7 +286,7 @@ fn edge_sum(
         };
         for e in polygon {
             let x = space.rounded(*e);
-            // The Klein form as a scalar product.
+            // The functional expresses the Klein form as a scalar product.
             (0..6).for_each(|i| sum[i] += turn * x[(i + 3) % 6]);
         }
     }
@@ -286,9 +297,11 @@ fn dot(f: &[f64; 6], v: &[f64; 6]) -> f64 {
     f.iter().zip(v).map(|(a, b)| a * b).sum()
 }
 
-/// The functionals whose level sets cap the extrusion: φ with φ(k) = 1, as small as possible on the
-/// vertex-pair lines, and σ with σ(k) = 0, positive on all of them. Their doubles are exact by definition;
-/// each cap is checked.
+/// The functionals whose level sets cap the extrusion.
+///
+/// φ has φ(k) = 1 and is as small as possible on the vertex-pair lines. σ has σ(k) = 0 and is positive on all
+/// of these lines. Caps are exactly the hyperplanes of the stored doubles, so rounding errors of φ and σ are
+/// harmless; [`Caps::cap`] checks each cap with exact signs.
 struct Caps {
     phi: [f64; 6],
     sigma: [f64; 6],
@@ -306,7 +319,8 @@ impl Caps {
     ) -> Result<Self, NoCaps> {
         let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
         let k_at = *space.rounded(k);
-        // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, regularised.
+        // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with the regularised matrix G = Σ v
+        // vᵀ.
         let mut g = [[0.0; 6]; 6];
         for v in &at {
             for (i, row) in g.iter_mut().enumerate() {
@@ -345,12 +359,17 @@ impl Caps {
         })
     }
 
-    /// The hyperplane of the functional `f`; [`klein`] swaps halves.
+    /// Adds the hyperplane of the functional `f`. The function swaps the first and last three components,
+    /// because the Klein form multiplies the first three of one vector by the last three of the other.
     fn plane(space: &mut Space, f: [f64; 6]) -> VectorId {
         space.given([f[3], f[4], f[5], f[0], f[1], f[2]])
     }
 
-    /// t·σ − φ (or φ − t·σ below), with t raised until all lines are on its positive side and k (−k) is not.
+    /// Computes the cap t·σ − φ, which cuts off k, if `way` is 1, or φ − t·σ, which cuts off −k, if `way` is
+    /// −1.
+    ///
+    /// The function raises t (lowers t for −1) until all lines are on the cap's positive side and k (or −k)
+    /// is on its negative side. It gives up with [`NoCaps`] after 60 steps.
     fn cap(&self, space: &mut Space, through: &[VectorId], way: f64) -> Result<VectorId, NoCaps> {
         let (mut t, other) = if way > 0.0 {
             (self.highest, self.lowest)
@@ -413,7 +432,9 @@ fn solve(mut a: [[f64; 6]; 6], b: [f64; 6]) -> Option<[f64; 6]> {
     Some(y)
 }
 
-/// The point in which a line (rounded, in the frame) meets the plane of a polygon's first three points.
+/// Computes the point at which a line meets the plane of a polygon's first three points.
+///
+/// The line is rounded. The line and the returned point are in the frame of the space.
 pub fn crossing_point(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
     let [a, b, c] = [0, 1, 2].map(|i| DVec3::from(space.point_at(polygon[i]).at));
     let normal = (b - a).cross(c - a);

@@ -4,27 +4,31 @@ use rayon::prelude::*;
 
 use super::occluder::{Occluder, OccluderId};
 
-/// Maximum number of occluders considered at one edge.
+/// The maximum number of occluders that [`BoundaryEdges::sharing`] returns for one edge.
 const MOST_AT_EDGE: usize = 8;
 
 /// The boundary edges of all occluders.
 pub struct BoundaryEdges {
-    /// The number of each occluder's first edge.
+    /// For each occluder, the number of its first boundary edge. The number of an edge is an index into
+    /// `group`.
     first: Vec<u32>,
-    /// The group of each edge, by number. A group holds the edges between the same two corners.
+    /// For each edge, the index of its group. A group contains the edges between the same two corners.
     group: Vec<u32>,
-    /// The start of each group in `sharing`, followed by the end of the last.
+    /// For each group, the index of its first entry in `sharing`, followed by the length of `sharing`.
     groups: Vec<u32>,
-    /// The occluders with an edge of a group, and whether their border runs from the greater corner to the
-    /// lesser.
+    /// The occluders with an edge between the two corners of a group, group by group.
+    ///
+    /// The flag is true if the occluder's border runs from the higher corner number to the lower.
     sharing: Vec<(OccluderId, bool)>,
 }
 
 impl BoundaryEdges {
-    /// Numbers the edges of some occluders.
+    /// Numbers and groups the boundary edges of `occluders`. The index of an occluder in the list is its
+    /// [`OccluderId`].
     pub fn new(occluders: &[Occluder]) -> Self {
         let mut first = Vec::with_capacity(occluders.len());
-        // Lesser and greater corner, occluder, direction, number.
+        // Each element contains the lower and the higher corner number, the occluder, true if the edge runs
+        // from the higher corner number to the lower, and the edge's number.
         let mut edges: Vec<([u32; 2], OccluderId, bool, u32)> = Vec::new();
         for (id, o) in occluders.iter().enumerate() {
             first.push(edges.len() as u32);
@@ -56,13 +60,15 @@ impl BoundaryEdges {
         }
     }
 
-    /// The number of an occluder's first edge; the others follow in the order of its border.
+    /// Returns the number of an occluder's first edge. The other edges follow in the order of its border.
     pub fn first(&self, occluder: OccluderId) -> u32 {
         self.first[occluder.0 as usize]
     }
 
-    /// The occluders with this edge, at most eight of them, each with whether its border runs along the edge
-    /// from the greater corner to the lesser.
+    /// Returns at most eight occluders with this edge.
+    ///
+    /// The flag of an occluder is true if its border runs along the edge from the higher corner number to the
+    /// lower.
     pub fn sharing(&self, edge: u32) -> &[(OccluderId, bool)] {
         let group = self.group[edge as usize] as usize;
         let all = &self.sharing[self.groups[group] as usize..self.groups[group + 1] as usize];

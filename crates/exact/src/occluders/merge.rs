@@ -1,4 +1,4 @@
-//! Merging coplanar neighbours into convex faces.
+//! The merging of coplanar neighbours into convex faces.
 
 use std::cmp::Ordering;
 
@@ -10,28 +10,30 @@ use sightline_numbers::union_find::UnionFind;
 
 use super::occluder::{Occluder, OccluderId, border};
 
-/// Longest border of a merged occluder.
+/// The maximum number of edges in the border of a merged occluder.
 const MOST_EDGES: usize = 24;
 
-/// Faces being merged: loops of vertices in the orientation of the first triangle.
+/// The convex faces during merging. A face's border has the orientation of its first triangle.
 pub struct MergedFaces<'a> {
     triangles: &'a [[Vec3; 3]],
     corners: &'a [u32],
-    /// The face of each triangle, by union-find.
+    /// The sets of triangles that form a face, by union-find.
     sets: UnionFind,
-    /// The faces, stored at their roots.
+    /// The face of each set of triangles, at the index of the set's root; `None` at other indices and for
+    /// triangles that do not block.
     faces: Vec<Option<Face>>,
-    /// Pairs of coplanar triangles that share an edge.
+    /// The pairs of coplanar triangles that share an edge.
     pairs: Vec<(u32, u32)>,
 }
 
 #[derive(Clone)]
 struct Face {
     triangles: Vec<OccluderTriangle>,
-    /// Directed edges by corner numbers and positions.
+    /// The directed boundary edges, each with its corner numbers and positions.
     border: Vec<FaceEdge>,
-    /// The axis of projection, and whether the projected face is clockwise.
+    /// The coordinate axis, 0 to 2, along which the face is projected to a plane.
     axis: usize,
+    /// True if the border runs clockwise in the projection.
     mirrored: bool,
 }
 
@@ -43,6 +45,8 @@ struct FaceEdge {
 }
 
 impl<'a> MergedFaces<'a> {
+    /// Creates one face per blocking triangle. `corners` contains three corner numbers per triangle, and
+    /// `solid` is true for triangles that block.
     pub fn new(triangles: &'a [[Vec3; 3]], corners: &'a [u32], solid: &[bool]) -> Self {
         let n = triangles.len();
         let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * n);
@@ -72,7 +76,9 @@ impl<'a> MergedFaces<'a> {
         let faces = (0..n)
             .into_par_iter()
             .map(|id| {
-                solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3]))
+                solid[id].then(|| {
+                    Face::from_triangle(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])
+                })
             })
             .collect();
         Self {
@@ -84,7 +90,7 @@ impl<'a> MergedFaces<'a> {
         }
     }
 
-    /// Merges neighbours while their union is convex.
+    /// Merges coplanar neighbouring faces until no union of two neighbours is convex.
     pub fn merge(&mut self) {
         let mut pairs = std::mem::take(&mut self.pairs);
         loop {
@@ -117,6 +123,8 @@ impl<'a> MergedFaces<'a> {
         }
     }
 
+    /// Returns the faces as occluders, and the occluder of each triangle; `None` for triangles that do not
+    /// block.
     pub fn finish(mut self) -> (Vec<Occluder>, Vec<Option<OccluderId>>) {
         let n = self.triangles.len();
         let roots: Vec<u32> = (0..n as u32).map(|i| self.sets.root(i)).collect();
@@ -138,7 +146,7 @@ impl<'a> MergedFaces<'a> {
 }
 
 impl Face {
-    fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
+    fn from_triangle(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
         let border = (0..3)
             .map(|k| FaceEdge {
                 from: c[k],
@@ -161,12 +169,14 @@ impl Face {
         }
     }
 
-    /// Both faces as one, if their union is convex.
+    /// Returns the union of two faces, or `None` if the union is not convex or has more than [`MOST_EDGES`]
+    /// edges.
     fn joined(&self, other: &Self, triangles: &[[Vec3; 3]]) -> Option<Self> {
         if self.border.len() + other.border.len() > MOST_EDGES + 2 {
             return None;
         }
-        // Reversed if needed, so that both have the same orientation in the projection.
+        // Reverse the other border if needed, so that both borders have the same orientation in the
+        // projection.
         let OccluderTriangle { triangle, reversed } = other.triangles[0];
         let v = &triangles[triangle as usize];
         let clockwise = orient2d_sign(
@@ -196,7 +206,7 @@ impl Face {
         if border.len() < 3 || border.len() == self.border.len() + other.border.len() {
             return None;
         }
-        // One loop, every turn to the left or straight on.
+        // The border must be one loop, with every turn to the left or straight on.
         let mut at = 0;
         for step in 1..=border.len() {
             let mut next = border
@@ -221,7 +231,7 @@ impl Face {
                 return None;
             }
         }
-        // A loop with left turns only may wind twice, so no corner may be to the right of any edge.
+        // A loop with only left turns may go around twice, so no corner may be to the right of any edge.
         let right = if self.mirrored {
             Ordering::Greater
         } else {
@@ -253,7 +263,7 @@ impl Face {
         })
     }
 
-    /// The face as an occluder, with its border in the order of its triangles.
+    /// Converts the face to an occluder, with its border in the order of its triangles.
     fn occluder(&self, triangles: &[[Vec3; 3]], corners: &[u32]) -> Occluder {
         let mut members = self.triangles.clone();
         members.sort_unstable();

@@ -1,8 +1,9 @@
-//! Segments between points in single precision: which triangle a segment shows (exact), and which it likely
-//! meets first.
+//! Segments between points in single precision: the exact test whether a segment shows a triangle, and a
+//! guess of the first triangle that it meets.
 //!
-//! Nearly all visible triangles are seen along an open set of many lines, so a witness with ends in single
-//! precision usually exists. Triangles that are seen along thin sets of lines only are left to queries.
+//! Nearly all visible triangles are visible along an open set of many lines, so a witness with ends in single
+//! precision usually exists. Queries in line space decide the triangles that are visible only along thin sets
+//! of lines.
 
 use std::cmp::Ordering;
 
@@ -11,9 +12,12 @@ use sightline_geometry::predicates::{Crossing, crossing, orient3d_sign};
 
 use super::set::Occluders;
 
-/// Whether the segment from `p` to `q` passes through the interior of a triangle and meets no other triangle,
-/// except triangles in the same plane. Such a segment is a witness: all nearby segments pass through the
-/// triangle, too.
+/// Returns true if the segment from `p` to `q` passes through a triangle and meets no other.
+///
+/// The segment must pass through the triangle's interior.
+///
+/// Other triangles in the same plane do not count as met. `scratch` is a buffer whose contents do not matter.
+/// Such a segment is a witness, because all nearby segments pass through the triangle, too.
 pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32>) -> bool {
     let [a, b, c] = *scene.triangle(id);
     if crossing([a, b, c], p, q) != Crossing::Inside {
@@ -31,20 +35,21 @@ pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32
     })
 }
 
-/// The first triangle a ray meets, computed in doubles without a bound, and its distance in lengths of the
-/// direction. A proposal only.
+/// Returns the first triangle that a ray meets, and its distance in units of the length of `direction`.
+///
+/// The computation in doubles has no error bound, so the result is only a proposal.
 pub fn first(scene: &Occluders, origin: DVec3, direction: DVec3) -> Option<(u32, f64)> {
     let mut best: Option<(u32, f64)> = None;
     scene.hierarchy().nearest(origin, direction, |id, limit| {
         let [a, b, c] = scene.triangle(id).map(|v| v.as_dvec3());
-        // Möller and Trumbore 1997.
+        // The test follows Möller and Trumbore 1997.
         let (e, f) = (b - a, c - a);
         let h = direction.cross(f);
         let det = e.dot(h);
         let s = origin - a;
         let (u, w) = (s.dot(h) / det, s.cross(e));
         let (v, t) = (direction.dot(w) / det, f.dot(w) / det);
-        // False for NaN, which a triangle parallel to the ray gives.
+        // The condition is false for NaN, which a triangle parallel to the ray gives.
         if u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < limit {
             best = Some((id, t));
             return t;
@@ -76,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_shows_what_it_passes_through_first() {
+    fn segment_shows_first_triangle_on_its_way() {
         let at = |x: f32| [[x, -1.0, -1.0], [x, 2.0, -1.0], [x, -1.0, 2.0]];
         let s = scene(&[at(1.0), at(2.0), at(1.0)]);
         let mut scratch = Vec::new();

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use sightline_certificate::proof::OccluderTriangle;
 use sightline_geometry::bvh::Bvh;
 use sightline_scene::topology::corner_vertices;
-use sightline_scene::{Scene, SceneError};
+use sightline_scene::{Scene, SceneError, TriangleId};
 
 use super::boundary_edges::BoundaryEdges;
 use super::merge::MergedFaces;
@@ -15,72 +15,74 @@ use super::occluder::{Occluder, OccluderId, border};
 pub struct Occluders {
     triangles: Vec<[Vec3; 3]>,
     occluders: Vec<Occluder>,
-    /// The occluder of each triangle; none for those without area and those that do not block.
-    of: Vec<Option<OccluderId>>,
-    /// Whether each triangle is reversed in its occluder.
+    /// The occluder of each triangle; `None` for triangles without area and for triangles that do not block.
+    by_triangle: Vec<Option<OccluderId>>,
+    /// For each triangle, true if it is reversed in its occluder.
     turned: Vec<bool>,
     boundary_edges: BoundaryEdges,
-    /// Three corner numbers a triangle.
+    /// Three corner numbers per triangle.
     corners: Vec<u32>,
     /// The hierarchy over the blocking triangles.
     bvh: Bvh,
-    /// The hierarchy over the triangles that can be in a set; none if these are the blocking ones.
+    /// The triangles that can be in a set of visible triangles; `None` if these are the blocking triangles.
     targets: Option<Targets>,
+    /// The largest magnitude of a coordinate of the scene.
     reach: f64,
 }
 
-/// The triangles that can be in a set, where some of these do not block or some that block are not shown.
+/// The triangles that can be in a set of visible triangles, if these differ from the blocking triangles.
 struct Targets {
     bvh: Bvh,
     is_target: Vec<bool>,
 }
 
 impl Occluders {
-    /// Merges the coplanar neighbours of a scene into convex occluders and builds the hierarchy, on all of
-    /// rayon's threads.
+    /// Merges coplanar neighbouring triangles of a scene into convex occluders and builds the hierarchies.
+    ///
+    /// The function uses all threads of rayon.
     ///
     /// # Errors
-    /// As [`corner_vertices`]: when the scene has more corners than can be numbered. Also when some triangles
-    /// have one side: occluders, silhouettes and closed surfaces block from both.
+    /// [`SceneError`] from [`corner_vertices`] if the scene has more corners than can be numbered, or if the
+    /// scene culls back faces. Occluders, silhouettes and closed surfaces block from both sides.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         if !scene.sides().are_both() {
             return Err(SceneError::bad(
                 "scene",
                 "sides",
-                "its back faces are culled, and exact queries take every triangle as seen from both sides",
-                "leave --cull-back-faces out, or give --method aggressive",
+                "the scene culls back faces, but exact queries see every triangle from both sides",
+                "omit --cull-back-faces, or use --method aggressive",
             ));
         }
         Self::from_both_sides(scene)
     }
 
-    /// [`Occluders::new`] for what takes every triangle as seen from both sides, whatever the scene says.
+    /// Creates the occluders like [`Occluders::new`], but treats every triangle as visible from both sides.
     ///
     /// # Errors
-    /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
+    /// [`SceneError`] from [`corner_vertices`] if the scene has more corners than can be numbered.
     pub fn from_both_sides(scene: &Scene) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
         let ids = (0..scene.len()).into_par_iter();
-        let solid: Vec<bool> = ids.clone().map(|t| scene.blocks(t)).collect();
-        let shown: Option<Vec<bool>> =
-            (!scene.kinds().all_opaque()).then(|| ids.map(|t| scene.shows(t)).collect());
+        let solid: Vec<bool> = ids.clone().map(|t| scene.blocks(TriangleId(t))).collect();
+        let shown: Option<Vec<bool>> = (!scene.kinds().all_opaque())
+            .then(|| ids.map(|t| scene.shows(TriangleId(t))).collect());
         let joined = || {
             let mut faces = MergedFaces::new(&triangles, &corners, &solid);
             faces.merge();
-            let (occluders, of) = faces.finish();
+            let (occluders, by_triangle) = faces.finish();
             let boundary_edges = BoundaryEdges::new(&occluders);
             let mut turned = vec![false; triangles.len()];
             occluders
                 .iter()
                 .flat_map(|o| &o.triangles)
                 .for_each(|t| turned[t.triangle as usize] = t.reversed);
-            (occluders, of, turned, boundary_edges)
+            (occluders, by_triangle, turned, boundary_edges)
         };
-        let hierarchy = |of: &[bool]| {
+        let hierarchy = |included: &[bool]| {
             let boxes = scene.triangles().iter().map(|t| t.bounds()).collect();
             let items = (0..triangles.len() as u32)
-                .filter(|i| of[*i as usize])
+                .filter(|i| included[*i as usize])
                 .collect();
             Bvh::new(boxes, items)
         };
@@ -91,14 +93,14 @@ impl Occluders {
             });
             (hierarchy(&solid), targets)
         };
-        let ((occluders, of, turned, boundary_edges), (bvh, targets)) =
+        let ((occluders, by_triangle, turned, boundary_edges), (bvh, targets)) =
             rayon::join(joined, hierarchies);
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
         Ok(Self {
             triangles,
             occluders,
-            of,
+            by_triangle,
             turned,
             boundary_edges,
             corners,
@@ -108,88 +110,96 @@ impl Occluders {
         })
     }
 
-    /// A triangle's vertices.
+    /// Returns a triangle's vertices.
     pub fn triangle(&self, id: u32) -> &[Vec3; 3] {
         &self.triangles[id as usize]
     }
 
-    /// Number of triangles.
+    /// Returns the number of triangles.
     pub fn len(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Whether there is no triangle; a scene has at least one.
+    /// Returns true if the scene has no triangles. The result is always false, because a scene has at least
+    /// one triangle.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
     }
 
-    /// The occluder a triangle is part of.
-    pub fn of(&self, triangle: u32) -> Option<OccluderId> {
-        self.of[triangle as usize]
+    /// Returns the occluder that contains a triangle, if such an occluder exists.
+    pub fn occluder_id(&self, triangle: TriangleId) -> Option<OccluderId> {
+        self.by_triangle[triangle.at()]
     }
 
-    /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges
-    /// on their negative side. `front` says whether the line comes from the side from which the triangle's
-    /// corners appear counter-clockwise.
-    pub fn passed(&self, triangle: u32, front: bool) -> Option<(OccluderId, bool)> {
-        // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K =
-        // −1.
-        self.of(triangle)
-            .map(|id| (id, front != self.turned[triangle as usize]))
+    /// Returns the occluder of a triangle that a line passes through, or `None` if the triangle does not
+    /// block.
+    ///
+    /// `front` is true if the line comes from the side from which the triangle's corners appear
+    /// counter-clockwise. The flag in the result is true if the line passes the occluder's edges on their
+    /// negative side.
+    pub fn passed(&self, triangle: TriangleId, front: bool) -> Option<(OccluderId, bool)> {
+        // Example: the line down the z axis, (0, 0, −1; 0, 0, 0), and an edge around it from x to y, (−1, 1,
+        // 0; 0, 0, 1), have K = −1.
+        self.occluder_id(triangle)
+            .map(|id| (id, front != self.turned[triangle.at()]))
     }
 
-    /// An occluder.
+    /// Returns an occluder.
     pub fn occluder(&self, id: OccluderId) -> &Occluder {
         &self.occluders[id.0 as usize]
     }
 
-    /// The edges of all occluders' borders.
+    /// Returns the boundary edges of all occluders.
     pub fn boundary_edges(&self) -> &BoundaryEdges {
         &self.boundary_edges
     }
 
-    /// The numbers of a triangle's corners; equal positions have equal numbers.
+    /// Returns the corner numbers of a triangle. Corners at equal positions have equal numbers.
     pub fn corners(&self, id: u32) -> [u32; 3] {
         let at = 3 * id as usize;
         [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
     }
 
-    /// The boundary edges of some triangles, each perhaps reversed: the edges that remain when opposite ones
-    /// are removed.
+    /// Returns the boundary edges of a set of triangles, as corner numbers and as positions.
+    ///
+    /// Each member states whether its triangle is reversed. Boundary edges are the edges that remain after
+    /// opposite edges cancel.
     pub fn border(&self, members: &[OccluderTriangle]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
         border(members, &self.triangles, &self.corners)
     }
 
-    /// Number of occluders.
+    /// Returns the number of occluders.
     pub fn count(&self) -> usize {
         self.occluders.len()
     }
 
-    /// The hierarchy over the triangles with an area that can be in a set.
+    /// Returns the hierarchy over the triangles with area that can be in a set of visible triangles.
     pub fn targets(&self) -> &Bvh {
         self.targets.as_ref().map_or(&self.bvh, |t| &t.bvh)
     }
 
-    /// Whether a triangle has an area and can be in a set.
-    pub fn is_target(&self, triangle: u32) -> bool {
+    /// Returns true if a triangle has area and can be in a set of visible triangles.
+    pub fn is_target(&self, triangle: TriangleId) -> bool {
         match &self.targets {
-            None => self.of(triangle).is_some(),
-            Some(targets) => targets.is_target[triangle as usize],
+            None => self.occluder_id(triangle).is_some(),
+            Some(targets) => targets.is_target[triangle.at()],
         }
     }
 
-    /// The hierarchy over the blocking triangles with an area.
+    /// Returns the hierarchy over the blocking triangles with area.
     pub fn hierarchy(&self) -> &Bvh {
         &self.bvh
     }
 
-    /// Appends the triangles that the segment may meet. Its ends are rounded combinations of points whose
-    /// coordinates are at most `size`.
+    /// Appends to `out` the triangles that the segment from `p` to `q` may meet.
+    ///
+    /// The ends of the segment are rounded combinations of points whose coordinates are at most `size`.
     pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
         self.bvh.along(p, q, self.slack(size), out);
     }
 
-    /// Bound on the rounding error of a coordinate of such an end.
+    /// Returns a bound on the rounding error of a coordinate of a segment end. The end is a rounded
+    /// combination of points whose coordinates are at most `size` in magnitude.
     pub fn slack(&self, size: f64) -> f64 {
         self.reach.max(size) * 1e-14
     }
@@ -204,10 +214,10 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Lines through the interior of one of two triangles that form one occluder, for both orientations
-        /// of each.
+        /// Tests lines through the interior of one of two triangles that form one occluder, for both
+        /// orientations of each.
         #[test]
-        fn edges_are_passed_on_the_side_that_is_said(
+        fn passed_reports_side_of_edges(
             corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)),
             turned in prop::array::uniform2(any::<bool>()),
             tilt in prop::array::uniform2(-3i32..4),
@@ -234,12 +244,12 @@ mod tests {
             let scene = Occluders::new(&Scene::new("two", triangles, vec![object]).unwrap()).unwrap();
             prop_assert_eq!(scene.count(), 1);
             let [p, q, r] = shapes[usize::from(second)];
-            // A point inside, times the sum of the weights, and the line through it.
+            // A point inside, multiplied by the sum of the weights, and the line through the point.
             let w = weights.map(f64::from);
             let (x, total) = (p * w[0] + q * w[1] + r * w[2], w[0] + w[1] + w[2]);
             let (way, moment) = (along * total, x.cross(along));
             let front = (q - p).cross(r - p).dot(along) < 0.0;
-            let (id, negative) = scene.passed(u32::from(second), front).unwrap();
+            let (id, negative) = scene.passed(TriangleId(u32::from(second)), front).unwrap();
             for [s, t] in &scene.occluder(id).border {
                 let (s, t) = (s.as_dvec3(), t.as_dvec3());
                 let form = way.dot(s.cross(t)) + moment.dot(t - s);

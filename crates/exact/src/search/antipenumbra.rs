@@ -1,16 +1,18 @@
-//! The antipenumbra of a sequence of polygons: the surfaces that bound and divide the space that is lit
-//! through them (Teller 1992, sections 7.2 and 7.3).
+//! The antipenumbra of a sequence of polygons: the surfaces that bound and divide the space that light from
+//! the first polygon reaches through the others (Teller 1992, sections 7.2 and 7.3).
 //!
-//! The lines that pass all edges on the right sides are the part of a cone in line space that lies on the
-//! Klein quadric. An edge of the cone's polytope meets the quadric in an extremal line, a 2-face in the trace
-//! of a swath: the lines that slide along three edges. Where lines exist on both sides of a swath it is
-//! internal; the others bound the lit space, and are linked into loops by the extremal lines where they meet.
+//! The lines that stab all polygons are the part of a cone in line space that lies on the Klein quadric. An
+//! edge of the cone's polytope meets the quadric in an extremal line. A 2-face meets the quadric in the trace
+//! of a swath: the lines that slide along three edges. If stabbing lines exist on both sides of a swath, the
+//! swath is internal. The other swaths bound the lit space. The extremal lines at which these swaths meet
+//! link them into loops.
 //!
-//! The edges of two polygons, and those of polygons in parallel planes, all meet one line l: that in which
-//! the planes meet. The cone then holds l in both directions, and of x + tl one vector is on the quadric. So
-//! every vertex of the polytope of the quotient by l is an extremal line, and every edge of it a swath.
+//! The edges of two polygons, and the edges of polygons in parallel planes, all meet one line l: the line in
+//! which the planes meet. The cone then contains l in both directions, and for every x in the cone, one
+//! vector x + tl is on the quadric. So every vertex of the polytope of the quotient by l is an extremal line,
+//! and every edge of this polytope is a swath.
 //!
-//! Signs that decide which faces meet the quadric are exact.
+//! The signs that decide which faces meet the quadric are exact.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,61 +27,69 @@ use crate::line_space::cone::{MOST_HALVES, Region};
 use crate::line_space::space::{Space, Tight, VectorId, klein, klein_exact};
 use crate::search::stab::{directions, edges};
 use crate::search::swath::{EdgeOf, Surface, are_contained, plane_of, quadric_of, vertex_and_edge};
-use crate::search::verdict::Limits;
+use crate::search::verdict::QueryLimits;
 
 /// A one-parameter family of lines that touch three edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Swath {
-    /// Its surface: a plane for a vertex and an edge, a quadric for three edges.
+    /// The surface of the swath: a plane for a vertex and an edge, a quadric for three edges.
     pub surface: Surface,
-    /// Whether it bounds the lit space.
+    /// True if the swath bounds the lit space.
     pub is_boundary: bool,
-    /// The number of the loop of a boundary swath.
+    /// The number of the boundary loop that contains the swath, starting at 0; `None` for an internal swath.
     pub in_loop: Option<usize>,
-    /// The edges that its lines touch.
+    /// The edges that the swath's lines touch, each as the index of its polygon in the sequence and the index
+    /// of the corner at which it starts.
     pub edges: Vec<EdgeOf>,
 }
 
-/// The antipenumbra of a sequence.
+/// The antipenumbra of a sequence of polygons.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Antipenumbra {
-    /// Vertices, edges and 2-faces of the polytope of line space.
+    /// The numbers of vertices, edges and 2-faces of the polytope of stabbing lines in line space.
     pub polytope: [usize; 3],
-    /// Number of extremal lines.
+    /// The number of extremal lines.
     pub lines: usize,
     /// The swaths.
     pub swaths: Vec<Swath>,
 }
 
-/// Why there is no antipenumbra.
+/// The reason why a sequence has no antipenumbra.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoAntipenumbra {
-    /// Fewer than two polygons.
-    #[error("one polygon bounds no light; give at least two")]
+    /// The sequence has fewer than two polygons.
+    #[error("the sequence has fewer than two polygons; give at least two")]
     Single,
-    /// The edges do not bound a cone.
+    /// The lines of the edges span fewer than five dimensions, so they do not bound a cone of line space.
     #[error(
-        "the edges of the polygons do not bound line space: give polygons in at least two planes"
+        "the edges of the polygons do not bound a cone of lines; give polygons in at least two planes"
     )]
     Unbounded,
-    /// More edges than the representation holds.
-    #[error("the polygons have too many edges for swaths")]
+    /// The polygons have more edges in total than a cone may have half-spaces.
+    #[error("the polygons have too many edges; give at most 127 edges in total")]
     TooComplex,
-    /// The directions in which the polygons are crossed are not known, or there are several.
-    #[error("lines cross the polygons in several combinations of directions; split the polygons")]
+    /// No combination or several combinations of directions exist in which a line can cross the polygons, or
+    /// the search for them reached a limit.
+    #[error(
+        "the polygons do not determine one direction of crossing for each polygon; split the polygons"
+    )]
     Directions,
 }
 
-/// The antipenumbra of a sequence that is stabbed.
+/// Computes the antipenumbra of a sequence of at least two polygons that some line stabs. `limits` bounds the
+/// search for the directions in which lines cross the polygons.
 ///
 /// # Errors
-/// [`NoAntipenumbra`].
-pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra, NoAntipenumbra> {
+/// [`NoAntipenumbra`] with the reason.
+pub fn antipenumbra(
+    portals: &[Polygon],
+    limits: &QueryLimits,
+) -> Result<Antipenumbra, NoAntipenumbra> {
     if portals.len() < 2 {
         return Err(NoAntipenumbra::Single);
     }
     let towards = directions(portals, limits).ok_or(NoAntipenumbra::Directions)?;
-    // Lines are compared with polygons in the world.
+    // Use the identity frame, because later steps compare lines with polygons in world space.
     let mut space = Space::new(Frame::world());
     let directed: Vec<(&Polygon, Ordering)> = portals.iter().zip(towards).collect();
     let lines = edges(&mut space, &directed);
@@ -88,17 +98,18 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
         .enumerate()
         .flat_map(|(k, p)| (0..p.points().len()).map(move |i| [k, i]))
         .collect();
-    let cone = Cone::of(&mut space, &lines)?;
-    let faces = Faces::of(&cone.region);
-    let search = Search::new(&mut space, &cone);
+    let cone = Cone::new(&mut space, &lines)?;
+    let faces = ConeFaces::from_region(&cone.region);
+    let search = ExtremalLineSearch::new(&mut space, &cone);
     let mut found = Antipenumbra {
         polytope: [cone.region.rays.len(), faces.edges.len(), faces.faces.len()],
         ..Antipenumbra::default()
     };
-    // The rays of each face that is the trace of a swath, with the extremal lines at its ends.
-    let mut traces: Vec<(Vec<usize>, [Crossing; 2])> = Vec::new();
+    // For each swath, the rays of the face that contains its trace, and the extremal lines at the ends of the
+    // trace.
+    let mut traces: Vec<(Vec<usize>, [ExtremalLine; 2])> = Vec::new();
     if cone.shared.is_some() {
-        let lines: Vec<Option<Crossing>> = (0..cone.region.rays.len())
+        let lines: Vec<Option<ExtremalLine>> = (0..cone.region.rays.len())
             .map(|ray| search.of_ray(ray, &mut found.lines))
             .collect();
         for [i, j] in &faces.edges {
@@ -107,7 +118,7 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
             }
         }
     } else {
-        let mut crossings: BTreeMap<[usize; 2], Vec<Crossing>> = BTreeMap::new();
+        let mut crossings: BTreeMap<[usize; 2], Vec<ExtremalLine>> = BTreeMap::new();
         for edge in &faces.edges {
             let on = search.crossings(*edge, found.lines);
             found.lines += on.len();
@@ -116,19 +127,20 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
         for face in &faces.faces {
             let around = faces.around(face);
             let n = around.len();
-            let mut points: Vec<Crossing> = Vec::new();
-            // Whether the form is positive on the border after the first crossing.
+            let mut points: Vec<ExtremalLine> = Vec::new();
+            // True if the form is positive on the border after the first crossing.
             let mut is_up_after = None;
             for k in 0..n {
                 let (i, j) = (around[k], around[(k + 1) % n]);
                 let on = crossings
                     .get(&[i.min(j), i.max(j)])
                     .map_or(&[][..], Vec::as_slice);
-                // One crossing changes the sign to that of the next ray, two change it and back.
+                // One crossing changes the sign to the sign of the next ray; two crossings change it and
+                // back.
                 if !on.is_empty() {
                     is_up_after.get_or_insert(search.is_up(j) != (on.len() == 2));
                 }
-                // In the direction of the walk.
+                // The crossings are appended in the direction of the walk.
                 if i < j {
                     points.extend(on)
                 } else {
@@ -179,19 +191,21 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
     Ok(found)
 }
 
-/// The cone of all six-vectors that have the edges' lines on the right sides; its quotient by a line that all
-/// of these meet, if there is one.
+/// The cone of all six-vectors whose Klein form with the line of each edge has the required sign.
+///
+/// If one line meets all edges, the cone is the quotient by this line.
 struct Cone {
     region: Region,
-    /// For each half-space of the region the number of its edge; `None` for the one that picks one vector of
-    /// each x + tl.
+    /// For each half-space of the region, the index of its edge in the list of all edges.
+    ///
+    /// The value is `None` for the half-space that selects one vector of each x + tl.
     halves: Vec<Option<usize>>,
-    /// The line l.
+    /// The line l that meets all edges.
     shared: Option<[IBig; 6]>,
 }
 
 impl Cone {
-    fn of(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Result<Self, NoAntipenumbra> {
+    fn new(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Result<Self, NoAntipenumbra> {
         let mut basis = independent(space, lines);
         let shared = match basis.len() {
             6 => None,
@@ -201,7 +215,7 @@ impl Cone {
         let mut first: Vec<(VectorId, Ordering)> = basis.iter().map(|k| lines[*k]).collect();
         let mut halves: Vec<Option<usize>> = basis.iter().map(|k| Some(*k)).collect();
         if let Some(shared) = &shared {
-            // K(w, l) is a component of l for a unit vector w; it is not 0.
+            // K(w, l) is a component of l for a unit vector w; the component is not 0.
             let Some(at) = shared.iter().position(|c| !c.is_zero()) else {
                 return Err(NoAntipenumbra::Unbounded);
             };
@@ -247,7 +261,7 @@ impl Cone {
             }
             halves.push(Some(k));
         }
-        // The ray along l is no vertex of the quotient.
+        // The ray along l is not a vertex of the quotient.
         if shared.is_some() {
             region.rays.retain(|(_, tight)| tight >> 5 & 1 == 1);
         }
@@ -259,7 +273,7 @@ impl Cone {
     }
 }
 
-/// Up to six independent lines, the first ones: each has a part outside the span of those before.
+/// Returns the indices of the lines that are not in the span of the lines before them; there are at most six.
 fn independent(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Vec<usize> {
     let (mut basis, mut rows): (Vec<usize>, Vec<[IBig; 6]>) = (Vec::new(), Vec::new());
     for (k, (line, _)) in lines.iter().enumerate() {
@@ -282,16 +296,16 @@ fn independent(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Vec<usize> 
     basis
 }
 
-/// The faces of a cone of one and two dimensions more than its rays.
-struct Faces {
-    /// Pairs of rays that share an edge, ascending.
+/// The edges and 2-faces of a cone's polytope.
+struct ConeFaces {
+    /// The pairs of ray indices that share an edge, in ascending order.
     edges: BTreeSet<[usize; 2]>,
-    /// The rays of each 2-face, ascending.
+    /// The ray indices of each 2-face, in ascending order.
     faces: BTreeSet<Vec<usize>>,
 }
 
-impl Faces {
-    fn of(region: &Region) -> Self {
+impl ConeFaces {
+    fn from_region(region: &Region) -> Self {
         let rays = &region.rays;
         let on = |tight: Tight| -> Vec<usize> {
             (0..rays.len())
@@ -306,7 +320,8 @@ impl Faces {
                     continue;
                 }
                 edges.insert([i, j]);
-                // The faces above an edge have the largest sets that are tight at a third ray as well.
+                // The 2-faces that contain this edge have the largest sets of half-spaces that are tight at
+                // the edge and at a third ray.
                 let with: BTreeSet<Tight> = (0..rays.len())
                     .filter(|k| *k != i && *k != j)
                     .map(|k| common & rays[k].1)
@@ -318,7 +333,7 @@ impl Faces {
         Self { edges, faces }
     }
 
-    /// The rays of a 2-face in order around it.
+    /// Returns the ray indices of a 2-face in order around the face.
     fn around(&self, face: &[usize]) -> Vec<usize> {
         let mut order = vec![face[0]];
         while let Some(last) = order.last().copied() {
@@ -336,18 +351,21 @@ impl Faces {
 
 /// A point of the quadric on an edge of the polytope: an extremal line.
 #[derive(Clone, Copy, Debug)]
-struct Crossing {
+struct ExtremalLine {
+    /// The index of the line among all extremal lines.
     number: usize,
     line: [f64; 6],
 }
 
-/// The pairs of crossings around a 2-face that its conic joins. `is_up_after` says whether the form is
-/// positive on the border between the first two.
-fn arcs(around: &[Crossing], is_up_after: bool) -> Vec<[Crossing; 2]> {
+/// Returns the pairs of crossings around a 2-face that the conic of the face joins.
+///
+/// `is_up_after` is true if the form is positive on the border between the first two crossings.
+fn arcs(around: &[ExtremalLine], is_up_after: bool) -> Vec<[ExtremalLine; 2]> {
     let n = around.len();
-    // The conic does not cross itself, so it joins neighbours: the first with the second, or with the last.
-    // On the chord from the first to the third the form has one sign. If it is that of the border after the
-    // first, this part of the face is in one piece, and the pieces cut off are the others.
+    // The conic does not cross itself, so it joins neighbouring crossings: the first with the second, or the
+    // first with the last. On the chord from the first to the third crossing, the form has one sign. If this
+    // sign equals the sign on the border after the first crossing, the part of the face with this sign is in
+    // one piece, and the conic cuts off the pieces with the other sign.
     let is_one_piece = n > 2 && {
         let across = std::array::from_fn(|k| around[0].line[k] + around[2].line[k]);
         (klein(&across, &across) > 0.0) == is_up_after
@@ -358,15 +376,17 @@ fn arcs(around: &[Crossing], is_up_after: bool) -> Vec<[Crossing; 2]> {
         .collect()
 }
 
-struct Search {
-    /// The rays, exact and rounded to a greatest component of 1.
+/// The rays of a cone, and the computation of extremal lines from them.
+struct ExtremalLineSearch {
+    /// The exact rays of the cone.
     rays: Vec<[IBig; 6]>,
+    /// The rounded rays.
     near: Vec<[f64; 6]>,
-    /// The line that all edges meet, exact and rounded.
+    /// The line that all edges meet, exact and rounded; `None` if no line meets all edges.
     shared: Option<([IBig; 6], [f64; 6])>,
 }
 
-impl Search {
+impl ExtremalLineSearch {
     fn new(space: &mut Space, cone: &Cone) -> Self {
         let ids: Vec<VectorId> = cone.region.rays.iter().map(|(ray, _)| *ray).collect();
         let rays: Vec<[IBig; 6]> = ids.iter().map(|ray| space.exact(*ray).clone()).collect();
@@ -381,20 +401,21 @@ impl Search {
         }
     }
 
-    /// The extremal line of a ray of the quotient; `None` where it is at infinity.
-    fn of_ray(&self, ray: usize, lines: &mut usize) -> Option<Crossing> {
+    /// Computes the extremal line of a ray of the quotient, and increments `lines`, the number of extremal
+    /// lines so far. The result is `None` if the line is at infinity.
+    fn of_ray(&self, ray: usize, lines: &mut usize) -> Option<ExtremalLine> {
         let (shared, _) = self.shared.as_ref()?;
         if klein_exact(&self.rays[ray], shared).is_zero() {
             return None;
         }
         *lines += 1;
-        Some(Crossing {
+        Some(ExtremalLine {
             number: *lines - 1,
             line: self.on_quadric(&self.near[ray]),
         })
     }
 
-    /// The vector x + tl on the quadric.
+    /// Computes the vector x + tl on the quadric for the shared line l, or returns x if no line is shared.
     fn on_quadric(&self, x: &[f64; 6]) -> [f64; 6] {
         let Some((_, shared)) = &self.shared else {
             return *x;
@@ -403,21 +424,22 @@ impl Search {
         scaled(&std::array::from_fn(|k| x[k] + shared[k] * t))
     }
 
-    /// Whether the form of a ray is not negative.
+    /// Returns true if the form of a ray with itself is not negative.
     fn is_up(&self, ray: usize) -> bool {
         sign(&klein_exact(&self.rays[ray], &self.rays[ray])) != Ordering::Less
     }
 
-    /// The points of the quadric on an edge, from its first ray to its second; the first gets a number. A ray
-    /// on the quadric counts as above it.
-    fn crossings(&self, [i, j]: [usize; 2], number: usize) -> Vec<Crossing> {
+    /// Computes the points of the quadric on an edge, in order from its first ray to its second.
+    ///
+    /// The numbers of the extremal lines start at `number`. A ray on the quadric counts as above the quadric.
+    fn crossings(&self, [i, j]: [usize; 2], number: usize) -> Vec<ExtremalLine> {
         let (u, v) = (&self.rays[i], &self.rays[j]);
         let [uu, uv, vv] = [klein_exact(u, u), klein_exact(u, v), klein_exact(v, v)];
         let is_up = |x: &IBig| sign(x) != Ordering::Less;
         debug_assert_eq!(
             (is_up(&uu), is_up(&vv)),
             (self.is_up(i), self.is_up(j)),
-            "the same signs"
+            "the ends of an edge have the signs of their rays"
         );
         let count = if is_up(&uu) != is_up(&vv) {
             1
@@ -426,12 +448,12 @@ impl Search {
         } else {
             return Vec::new();
         };
-        // q(s) = (1 − s)² K(u, u) + 2 s (1 − s) K(u, v) + s² K(v, v), rounded.
+        // The form along the edge is q(s) = (1 − s)² K(u, u) + 2 s (1 − s) K(u, v) + s² K(v, v), rounded.
         let (a, b) = (&self.near[i], &self.near[j]);
         let [uu, uv, vv] = [klein(a, a), klein(a, b), klein(b, b)];
         let (p, q, r) = (uu - 2.0 * uv + vv, uv - uu, uu);
         let root = (q * q - p * r).max(0.0).sqrt();
-        // Both roots of p s² + 2 q s + r without cancellation.
+        // These are both roots of p s² + 2 q s + r, computed without cancellation.
         let t = -(q + root.copysign(q));
         let mut roots = [t / p, r / t];
         roots.sort_by(f64::total_cmp);
@@ -444,31 +466,31 @@ impl Search {
             } else {
                 roots[1]
             };
-            return vec![Crossing {
+            return vec![ExtremalLine {
                 number,
                 line: line(s.clamp(0.0, 1.0)),
             }];
         }
         let both = roots.map(|s| s.clamp(0.0, 1.0));
         vec![
-            Crossing {
+            ExtremalLine {
                 number,
                 line: line(both[0]),
             },
-            Crossing {
+            ExtremalLine {
                 number: number + 1,
                 line: line(both[1]),
             },
         ]
     }
 
-    /// Whether a swath bounds the lit space, and its surface.
+    /// Returns true if a swath bounds the lit space, and the surface of the swath.
     fn swath(
         &self,
         portals: &[Polygon],
         touched: &[EdgeOf],
         face: &[usize],
-        [a, b]: [Crossing; 2],
+        [a, b]: [ExtremalLine; 2],
     ) -> (bool, Surface) {
         if let Some((vertex, edge)) = vertex_and_edge(portals, touched) {
             return plane_of(portals, vertex, edge);
@@ -503,20 +525,20 @@ impl Search {
     }
 }
 
-fn rounded(of: &[IBig; 6]) -> [f64; 6] {
+fn rounded(vector: &[IBig; 6]) -> [f64; 6] {
     use dashu_int::ops::BitTest as _;
-    // Without the bits that doubles cannot hold: few enough that none becomes infinite.
-    let most = of.iter().map(|c| c.bit_len()).max().unwrap_or(0);
+    // The shift removes bits that doubles cannot represent, so that no component becomes infinite.
+    let most = vector.iter().map(|c| c.bit_len()).max().unwrap_or(0);
     let down = most.saturating_sub(900);
-    scaled(&of.each_ref().map(|c| (c >> down).to_f64().value()))
+    scaled(&vector.each_ref().map(|c| (c >> down).to_f64().value()))
 }
 
-fn scaled(of: &[f64; 6]) -> [f64; 6] {
-    let most = of.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+fn scaled(vector: &[f64; 6]) -> [f64; 6] {
+    let most = vector.iter().fold(0.0f64, |m, c| m.max(c.abs()));
     if most > 0.0 {
-        of.map(|c| c / most)
+        vector.map(|c| c / most)
     } else {
-        *of
+        *vector
     }
 }
 
@@ -525,11 +547,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_circle_that_leaves_a_square_is_joined_around_its_corners() {
-        // The form x² + y² − 1.44 z² on vectors of three dimensions; the square has its corners at ±1, z = 1.
+    fn arcs_join_circle_around_corners_of_square() {
+        // The form is x² + y² − 1.44 z² on vectors of three dimensions; the square has its corners at ±1, z =
+        // 1.
         let vector = |x: f64, y: f64| [x, y, 1.2, x / 2.0, y / 2.0, -0.6];
         let at = 0.44f64.sqrt();
-        // From the corner (1, 1) on: two crossings on each side.
+        // From the corner (1, 1) on, each side has two crossings.
         let all = [
             (at, 1.0),
             (-at, 1.0),
@@ -540,8 +563,8 @@ mod tests {
             (1.0, -at),
             (1.0, at),
         ];
-        let crossings: Vec<Crossing> = (0..8)
-            .map(|number| Crossing {
+        let crossings: Vec<ExtremalLine> = (0..8)
+            .map(|number| ExtremalLine {
                 number,
                 line: vector(all[number].0, all[number].1),
             })
@@ -550,7 +573,7 @@ mod tests {
         for first in 0..8 {
             let mut turned = crossings.clone();
             turned.rotate_left(first);
-            // Between the two on a side the border is inside the circle.
+            // Between the two crossings of a side, the border is inside the circle.
             let mut found: Vec<[usize; 2]> = arcs(&turned, first % 2 == 1)
                 .iter()
                 .map(|[a, b]| [a.number, b.number])

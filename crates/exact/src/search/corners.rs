@@ -1,5 +1,4 @@
-//! Corners of the scene as points of the space of one pair, and on which sides of the two polygons' planes
-//! they lie.
+//! The corners of the scene as points of the space of one pair, with their sides of the two polygons' planes.
 
 use std::cmp::Ordering;
 
@@ -10,21 +9,23 @@ use crate::line_space::space::Space;
 use crate::line_space::stabbing_polyhedron::Pair;
 use crate::search::maps::with_room;
 
-/// Corners by their numbers in the scene.
+/// The corners of the scene that are points of the space, keyed by corner number.
 pub struct Corners {
-    /// The point of the space, and its sides of A's plane and of B's once they are computed.
+    /// For each corner, the index of its point in the space, and its sides of A's plane and of B's plane once
+    /// they are computed.
     known: FxHashMap<u32, (u32, Option<[Ordering; 2]>)>,
 }
 
 impl Corners {
-    /// An empty table.
+    /// Creates an empty table.
     pub fn new() -> Self {
         Self {
             known: with_room(64),
         }
     }
 
-    /// A corner at a world position as a point of the space.
+    /// Returns the index of a corner's point in the space, and adds the point on the first call. `number` is
+    /// the corner number, and `at` the position in world space.
     pub fn point(&mut self, space: &mut Space, number: u32, at: Vec3) -> u32 {
         if let Some((point, _)) = self.known.get(&number) {
             return *point;
@@ -35,7 +36,7 @@ impl Corners {
         point
     }
 
-    /// On which sides of A's plane and of B's a corner lies.
+    /// Returns the side of A's plane and the side of B's plane on which a corner lies.
     pub fn sides(
         &mut self,
         space: &mut Space,

@@ -1,6 +1,7 @@
-//! The lines of boundary edges in the space of a pair: all edges along one line share it.
+//! The lines of boundary edges in the space of a pair: all edges along one line share a vector.
 //!
-//! A ray on the line of one edge is then known to be on the lines of all edges along it.
+//! So if a ray is on the hyperplane of one edge, it is known to be on the hyperplanes of all edges along the
+//! same line.
 
 use glam::Vec3;
 use rustc_hash::FxHashMap;
@@ -13,24 +14,25 @@ use crate::search::maps::with_room;
 /// An edge of an occluder's border.
 #[derive(Clone, Copy)]
 pub struct Edge {
-    /// Its line.
+    /// The line that contains the edge.
     pub line: VectorId,
-    /// Whether the line runs the other way.
+    /// True if the line runs opposite to the edge.
     pub flipped: bool,
 }
 
-/// Lines made so far.
+/// The lines of all edges that were added to the space so far.
 pub struct EdgeLines {
-    /// Keyed by the numbers of an edge's corners, the lesser first: the line of the edge, and whether the
-    /// line runs from the greater corner to the lesser.
+    /// The line of each edge. The key contains the edge's corner numbers, the lower number first.
+    ///
+    /// The flag is true if the line runs from the higher corner number to the lower.
     edges: FxHashMap<[u32; 2], (VectorId, bool)>,
-    /// Lines by fingerprint, each with two points on it. Equal lines are in the same bucket or in adjacent
-    /// ones.
+    /// The lines by [`Space::fingerprint`], each with two points on the line. Equal lines are in the same
+    /// bucket or in adjacent buckets.
     buckets: FxHashMap<i64, Vec<(VectorId, [Vec3; 2])>>,
 }
 
 impl EdgeLines {
-    /// An empty table.
+    /// Creates an empty table.
     pub fn new() -> Self {
         Self {
             edges: with_room(64),
@@ -38,7 +40,8 @@ impl EdgeLines {
         }
     }
 
-    /// The lines of a border, given by numbers of corners and by positions.
+    /// Returns the lines of a border's edges, and adds missing lines to the space. `border` contains the
+    /// corner numbers of each edge, and `ends` the positions.
     pub fn border(
         &mut self,
         space: &mut Space,
@@ -95,7 +98,7 @@ impl EdgeLines {
     }
 }
 
-/// Whether two edges on one line run the same way.
+/// Returns true if two edges on one line run in the same direction.
 fn same_way(e: [Vec3; 2], f: [Vec3; 2]) -> bool {
     (0..3).all(|k| {
         (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k])

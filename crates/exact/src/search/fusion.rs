@@ -1,29 +1,38 @@
-//! Occluder fusion: joining an occluder with its neighbours while the union blocks more of a region.
+//! Occluder fusion: the union of an occluder with its neighbours while the union blocks more of a region.
 //!
-//! Connected triangles crossed in the same direction act as one occluder, bounded by their silhouette
-//! (Nirenstein 2003, section 2.4).
+//! Connected triangles that lines cross in the same direction act as one occluder, bounded by their
+//! silhouette (Nirenstein 2003, section 2.4).
 
 use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
-use crate::search::local::{Constraints, Local, lines_of, triangles};
-use crate::search::side_bitsets::{Limit, both, count};
+use crate::search::local::{Constraints, PairState, lines_of, triangles};
+use crate::search::side_bitsets::{FusedEdge, both, count};
 
-/// Maximum number of occluders in a fused occluder.
+/// The maximum number of occluders in a fused occluder.
 const MOST_MEMBERS: usize = 256;
-/// Consecutive members without effect after which fusion ends, or the number of members so far if that is
-/// greater.
+/// The minimum number of consecutive members without effect after which fusion ends.
+///
+/// A member has an effect if the fused occluder blocks more rays and lines with this member. If the fused
+/// occluder had more members than this at its last effect, fusion ends after that many members instead.
 const IN_VAIN: usize = 8;
 
-impl Local<'_> {
-    /// Adds neighbours to an occluder, always across the edge with the largest part of the region outside it,
-    /// until further neighbours have no effect. Returns an index into `known`, or None if no neighbours make
-    /// it block more of the region.
+impl PairState<'_> {
+    /// Fuses an occluder with neighbours until the union blocks the region or further neighbours have no
+    /// effect.
     ///
-    /// One neighbour often has no effect where several have: most facets of a curved surface are needed to
-    /// block the lines around one of them.
+    /// `held` is the number of the region's rays and sampled lines that the occluder blocks without
+    /// neighbours. Each step adds the neighbour across the edge with the largest part of the region outside
+    /// that edge. The result is an index into `known`. It is `None` if no union of neighbours blocks more
+    /// than `held`, if the occluder already blocks all rays and lines, or if it is not wholly between the
+    /// polygons.
+    ///
+    /// A single neighbour often has no effect although several together have one: to block the lines around a
+    /// facet of a curved surface, the union needs most of the facets.
     pub fn fuse(
         &mut self,
         scene: &Occluders,
-        (id, negative, held): (OccluderId, bool, u32),
+        id: OccluderId,
+        negative: bool,
+        held: u32,
     ) -> Option<usize> {
         let every = self.side_bitsets.all();
         let all = count(every);
@@ -50,7 +59,7 @@ impl Local<'_> {
                     .iter()
                     .fold(every, |all, limit| both(all, limit.inside)),
             );
-            // Two sides of one sheet have no border and block nothing together.
+            // An occluder and its own reverse side have no border, and together they block no lines.
             if held > most && !border.is_empty() {
                 (most, best) = (held, members.len());
             }
@@ -64,12 +73,13 @@ impl Local<'_> {
         self.patch(scene, members)
     }
 
-    /// Adds an occluder, perhaps reversed, to a border: edges along which the two run in opposite directions
-    /// are removed.
+    /// Adds the edges of an occluder, reversed if needed, to the border of the union.
+    ///
+    /// The function removes edges along which both borders run in opposite directions.
     fn join(
         &mut self,
         scene: &Occluders,
-        border: &mut Vec<Limit>,
+        border: &mut Vec<FusedEdge>,
         OrientedOccluder { id, reversed }: OrientedOccluder,
         negative: bool,
     ) {
@@ -81,7 +91,7 @@ impl Local<'_> {
                 border.remove(other);
             } else {
                 let inside = self.side_bitsets.inside(&self.forms, edge, negative);
-                border.push(Limit {
+                border.push(FusedEdge {
                     edge,
                     inside,
                     count: count(inside),
@@ -91,12 +101,14 @@ impl Local<'_> {
         }
     }
 
-    /// The next occluder to add, across the edge with the largest part of the region outside it, and whether
-    /// the occluder must be reversed.
+    /// Chooses the next occluder to add, and determines whether it must be reversed.
+    ///
+    /// The occluder shares the edge of `border` with the largest part of the region outside that edge. The
+    /// result is `None` if no edge has a suitable neighbour.
     fn beyond(
         &mut self,
         scene: &Occluders,
-        border: &mut [Limit],
+        border: &mut [FusedEdge],
         members: &[OrientedOccluder],
         all: u32,
     ) -> Option<OrientedOccluder> {
@@ -107,8 +119,8 @@ impl Local<'_> {
                 .min_by_key(|l| l.count)?;
             for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
                 if !members.iter().any(|m| m.id == *id) && self.is_between(scene, *id) {
-                    // The borders must run along the edge in opposite directions, so an occluder that runs
-                    // the same way is reversed.
+                    // The borders must run along the edge in opposite directions, so an occluder that runs in
+                    // the same direction is reversed.
                     return Some(OrientedOccluder {
                         id: *id,
                         reversed: *back == limit.edge.back(),
@@ -119,8 +131,9 @@ impl Local<'_> {
         }
     }
 
-    /// Fuses occluders that all lie between the polygons. Returns an index into `known`, or None if the union
-    /// has no border.
+    /// Adds the union of occluders to `known`. All members must lie between the polygons.
+    ///
+    /// The result is an index into `known`, or `None` if the union has no border.
     fn patch(&mut self, scene: &Occluders, members: Vec<OrientedOccluder>) -> Option<usize> {
         if let Some(at) = self.patches.get(&members) {
             return *at;

@@ -1,4 +1,5 @@
-//! The state of the search between two parts: their space, and the occluders as half-spaces of it.
+//! The state of the search between two polygons, or parts of polygons: their space, and the occluders as
+//! half-spaces of this space.
 
 use std::cmp::Ordering;
 
@@ -14,42 +15,49 @@ use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
 use crate::search::corners::Corners;
 use crate::search::edges::{Edge, EdgeLines};
 use crate::search::maps::with_room;
-use crate::search::side_bitsets::{Limit, SideBitsets};
+use crate::search::side_bitsets::{FusedEdge, SideBitsets};
 
-/// An end of a sight line: a point of the space, and its rounded place in the world.
-pub type Snapped = (u32, DVec3);
+/// An end of a sight line: the index of a point of the space, and its rounded position in world space.
+pub type SightLineEnd = (u32, DVec3);
 
 /// An occluder as half-spaces of one pair's space.
 pub struct Constraints {
-    /// The occluders of the scene in it, ascending.
+    /// The scene's occluders that form this occluder, in ascending order.
     pub members: Vec<OrientedOccluder>,
-    /// The half-spaces that bound the lines it blocks.
+    /// The half-spaces that bound the lines that the occluder blocks.
     pub lines: Vec<Constraint>,
 }
 
 /// One half-space of an occluder.
 #[derive(Clone, Copy)]
 pub struct Constraint {
-    /// Its line.
+    /// The line whose hyperplane bounds the half-space.
     pub line: VectorId,
-    /// Whether the border runs the other way.
+    /// True if the border runs opposite to the line.
     pub flipped: bool,
-    /// Its number in a proof.
+    /// The number by which a proof's cuts refer to the half-space: the index of its edge in the occluder's
+    /// border, or, for the planes of A and B, the length of the border plus 0 or 1.
     pub number: u16,
-    /// The number of its line in [`SideBitsets`], and whether the border runs the other way than that line;
-    /// none where a polygon's plane cuts the occluder.
+    /// The number of the edge's line in [`SideBitsets`], and a flag.
+    ///
+    /// The flag is true if the border runs opposite to that line. The value is `None` if the edge has no line
+    /// there, or if the half-space is from a polygon's plane that cuts the occluder.
     pub row: Option<(u32, bool)>,
 }
 
-/// Position of an occluder relative to A's plane and to B's plane: `within` says whether part of it is on the
-/// side of the other polygon, `beyond` whether part of it is on the opposite side.
+/// The position of an occluder relative to A's plane and to B's plane.
+///
+/// Index 0 is for A's plane, and index 1 for B's plane. `within` is true if part of the occluder is on the
+/// side of the plane that contains the other polygon, and `beyond` is true if part of the occluder is on the
+/// opposite side.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extent {
     within: [bool; 2],
     beyond: [bool; 2],
 }
 
-/// The lines of a border, one constraint for each.
+/// Converts the edges of a border to constraints. Edges on the same line with the same direction share one
+/// constraint.
 pub fn lines_of(
     edges: &[Edge],
     border: &[[u32; 2]],
@@ -75,37 +83,39 @@ pub fn lines_of(
     lines
 }
 
-/// The state of the search between one pair of parts.
-pub struct Local<'a> {
+/// The state of the search between one pair of polygons, or parts of polygons.
+pub struct PairState<'a> {
     pub space: Space,
     pub pair: Pair,
+    /// The occluders and fused occluders converted to half-spaces so far. Other fields and methods return
+    /// indices into this list.
     pub known: Vec<Constraints>,
-    /// Corners of the scene as points of the space.
+    /// The corners of the scene as points of the space.
     pub corners: Corners,
-    /// On which sides of the two planes the occluders looked up so far lie.
+    /// The positions, relative to the planes of A and B, of the occluders inspected so far.
     pub extents: FxHashMap<OccluderId, Extent>,
-    /// The index of an occluder in `known`; none if no part of it is between the polygons.
+    /// The index of an occluder in `known`; `None` if no part of the occluder is between the polygons.
     pub places: FxHashMap<OccluderId, Option<usize>>,
     /// The index of a fused occluder in `known`, by its members.
     pub patches: FxHashMap<Vec<OrientedOccluder>, Option<usize>>,
-    /// Lines made for occluders' edges.
+    /// The lines of occluders' edges that exist in the space.
     pub lines: EdgeLines,
-    /// On which sides of boundary edges the rays of the current region are.
+    /// The sides of boundary edges on which the rays of the current region lie.
     pub side_bitsets: SideBitsets,
-    /// The Klein form on the rays of the current region.
+    /// The rays of the current region, for the computation of Klein forms.
     pub forms: Forms,
-    /// Sides of rays; kept to reuse its memory.
+    /// The sides of rays. The buffer is reused.
     pub sides: Vec<Ordering>,
-    /// The border of the fused occluder; kept to reuse its memory.
-    pub border: Vec<Limit>,
-    /// Triangles a line may meet; kept to reuse its memory.
+    /// The border of the fused occluder. The buffer is reused.
+    pub border: Vec<FusedEdge>,
+    /// The triangles that a line may meet. The buffer is reused.
     pub candidates: Vec<u32>,
-    /// Both polygons, with their vertices rounded.
+    /// Both polygons, with their rounded vertices.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
 }
 
-impl<'a> Local<'a> {
-    /// The state at the beginning of the search between two polygons, with their vertices rounded.
+impl<'a> PairState<'a> {
+    /// Creates the initial state of the search between two polygons, given with their rounded vertices.
     pub fn new(space: Space, pair: Pair, ends: [(&'a Polygon, &'a [DVec3]); 2]) -> Self {
         Self {
             space,
@@ -126,9 +136,11 @@ impl<'a> Local<'a> {
     }
 }
 
-impl Local<'_> {
-    /// The half-spaces of the part of an occluder between A and B, as an index into `known`; none if no part
-    /// is.
+impl PairState<'_> {
+    /// Computes the half-spaces of the part of an occluder between A and B, and returns their index in
+    /// `known`.
+    ///
+    /// The result is `None` if no part of the occluder is between A and B.
     pub fn constraints(&mut self, scene: &Occluders, id: OccluderId) -> Option<usize> {
         if let Some(at) = self.places.get(&id) {
             return *at;
@@ -138,19 +150,19 @@ impl Local<'_> {
         at
     }
 
-    /// The lines of a border, given by numbers of corners and by positions.
+    /// Returns the lines of a border's edges, as [`EdgeLines::border`] does.
     pub fn border_lines(&mut self, border: &[[u32; 2]], ends: &[[Vec3; 2]]) -> Vec<Edge> {
         self.lines
             .border(&mut self.space, &mut self.corners, border, ends)
     }
 
-    /// A triangle's corners as points of the space.
+    /// Returns the indices of a triangle's corners among the points of the space.
     pub fn corner_points(&mut self, scene: &Occluders, triangle: u32) -> [u32; 3] {
         let (numbers, at) = (scene.corners(triangle), scene.triangle(triangle));
         std::array::from_fn(|k| self.corners.point(&mut self.space, numbers[k], at[k]))
     }
 
-    /// The extent of an occluder.
+    /// Computes the position of an occluder relative to the planes of A and B.
     fn extent(&mut self, scene: &Occluders, id: OccluderId) -> Extent {
         if let Some(known) = self.extents.get(&id) {
             return *known;
@@ -171,7 +183,7 @@ impl Local<'_> {
         extent
     }
 
-    /// Whether all of an occluder is between the polygons.
+    /// Returns true if the whole occluder is between the polygons.
     pub fn is_between(&mut self, scene: &Occluders, id: OccluderId) -> bool {
         let extent = self.extent(scene, id);
         extent.within == [true; 2] && extent.beyond == [false; 2]
@@ -204,8 +216,8 @@ impl Local<'_> {
                     points: [plane[0], plane[1], plane[2]],
                     turned: *good == Ordering::Less,
                 };
-                // The part of the occluder on the good side is to the left of n_plane × n_own, seen from
-                // n_own's side.
+                // The part of the occluder on the side of the other polygon is to the left of n_plane ×
+                // n_own, seen from the side to which n_own points.
                 let line = self.space.meet(toward, own);
                 let number = (occluder.border.len() + k) as u16;
                 lines.push(Constraint {
@@ -227,18 +239,18 @@ impl Local<'_> {
     }
 }
 
-/// The triangles of some occluders, in order.
+/// Returns the triangles of some occluders, in order.
 pub fn triangles(scene: &Occluders, members: &[OrientedOccluder]) -> Vec<OccluderTriangle> {
     members
         .iter()
-        .flat_map(|of| {
+        .flat_map(|member| {
             scene
-                .occluder(of.id)
+                .occluder(member.id)
                 .triangles
                 .iter()
                 .map(move |t| OccluderTriangle {
                     triangle: t.triangle,
-                    reversed: t.reversed != of.reversed,
+                    reversed: t.reversed != member.reversed,
                 })
         })
         .collect()

@@ -2,7 +2,9 @@
 
 use rustc_hash::FxHashMap;
 
-/// A map with room for `many` entries: growing an empty map for every pair takes longer than the look-ups.
+/// Creates a map with room for `many` entries.
+///
+/// Growing an empty map for every pair costs more time than the look-ups.
 pub fn with_room<K, V>(many: usize) -> FxHashMap<K, V> {
     FxHashMap::with_capacity_and_hasher(many, rustc_hash::FxBuildHasher)
 }

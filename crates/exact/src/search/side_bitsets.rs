@@ -1,9 +1,9 @@
-//! Side bitsets: for each boundary edge, on which side the rays of a region and the sampled lines inside it
-//! pass.
+//! Side bitsets: for each boundary edge, the side on which the rays of a region and the sampled lines inside
+//! the region pass.
 //!
-//! They rank occluders by how much of a region they block. They are rounded and have no error bounds: the
-//! ranking affects the time of a query, never its verdict. Edges are plain doubles here, and only the edges
-//! of the chosen occluder become lines of the space.
+//! Side bitsets rank occluders by the part of a region that they block. They are rounded and have no error
+//! bounds, because the ranking affects the time of a query but never its verdict. Edges are plain doubles in
+//! this module, and only the edges of the chosen occluder become lines of the space.
 
 use std::ops::Range;
 
@@ -16,32 +16,33 @@ use crate::line_space::forms::Forms;
 use crate::occluders::{OccluderId, Occluders};
 use crate::search::maps::with_room;
 
-/// A set of a region's rays and sampled lines, one bit each. Rays and lines beyond the first 256 are ignored;
-/// few regions have more.
-pub type Bits = [u64; 4];
-/// Capacity of a [`Bits`].
+/// A set of a region's rays and sampled lines, one bit each.
+///
+/// Rays and lines beyond the first 256 are ignored; few regions have more.
+pub type LineBits = [u64; 4];
+/// The capacity of a [`LineBits`].
 const MOST: usize = 256;
-/// Forms up to this magnitude count as 0; no component of either vector exceeds 1.
+/// The largest magnitude of a form that counts as 0; no component of either vector exceeds 1.
 const ON: f64 = 1e-12;
 
 /// An edge in the border of an occluder or of a fused occluder.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BoundaryEdge {
-    /// Its number in the scene ([`crate::occluders::boundary_edges::BoundaryEdges`]).
+    /// The number of the edge in the scene ([`crate::occluders::boundary_edges::BoundaryEdges`]).
     pub number: u32,
-    /// The numbers of its corners, in the direction of the border.
+    /// The corner numbers of the edge, in the direction of the border.
     pub corners: [u32; 2],
-    /// Its line, from the lesser corner to the greater.
+    /// The number of the edge's line, which runs from the lower corner number to the higher.
     line: u32,
 }
 
 impl BoundaryEdge {
-    /// Whether it runs from the greater corner to the lesser.
+    /// Returns true if the edge runs from the higher corner number to the lower.
     pub fn back(&self) -> bool {
         self.corners[0] > self.corners[1]
     }
 
-    /// The same edge run along the other way.
+    /// Returns the edge in the opposite direction.
     pub fn reversed(self) -> Self {
         Self {
             corners: [self.corners[1], self.corners[0]],
@@ -51,28 +52,32 @@ impl BoundaryEdge {
 }
 
 /// An edge of the border of a fused occluder.
-pub struct Limit {
+pub struct FusedEdge {
     pub edge: BoundaryEdge,
-    /// The rays and lines of the region on its inner side, and their number.
-    pub inside: Bits,
+    /// The rays and sampled lines of the region on the edge's inner side.
+    pub inside: LineBits,
+    /// The number of rays and lines in `inside`.
     pub count: u32,
-    /// Whether no occluder can be added across it.
+    /// True if no occluder can be added across the edge.
     pub last: bool,
 }
 
-/// For each line, which rays and sampled lines of the current region pass it on either side.
+/// For each line of a boundary edge, the rays and sampled lines of the current region on either side of the
+/// line.
 #[derive(Default)]
 pub struct SideBitsets {
-    /// The number of the current region, and the number of its rays and lines.
+    /// The number of regions started so far, which identifies the current region.
     region: u32,
+    /// The number of rays and sampled lines of the current region, at most 256.
     rays: usize,
-    /// Corners of the scene in the frame, by number.
+    /// The rounded positions of corners in the frame, by corner number.
     corners: FxHashMap<u32, DVec3>,
-    /// Lines by their corners, the lesser first.
+    /// The number of each line: its index in `lines` and `rows`. The key contains the corner numbers of the
+    /// line, the lower number first.
     numbers: FxHashMap<[u32; 2], u32>,
     lines: Vec<[f64; 6]>,
     rows: Vec<Row>,
-    /// The range of an occluder's edges in `edges`.
+    /// For each occluder, the range of its edges in `edges`.
     shapes: FxHashMap<OccluderId, Range<usize>>,
     edges: Vec<BoundaryEdge>,
     forms: Vec<f64>,
@@ -81,15 +86,16 @@ pub struct SideBitsets {
 #[derive(Clone, Copy, Default)]
 struct Row {
     region: u32,
-    /// Rays on the positive side and on the negative side; rays on the line are in both sets.
-    sides: [Bits; 2],
+    /// The rays and sampled lines on the positive side and on the negative side. Rays and lines that meet the
+    /// line are in both sets.
+    sides: [LineBits; 2],
 }
 
-/// Initial capacity for corners and lines; most pairs need few more.
+/// The initial capacity for corners and lines; most pairs need few more.
 const FEW: usize = 64;
 
 impl SideBitsets {
-    /// Empty tables.
+    /// Creates empty tables.
     pub fn new() -> Self {
         Self {
             corners: with_room(FEW),
@@ -102,21 +108,23 @@ impl SideBitsets {
         }
     }
 
-    /// Starts a region with this number of rays and lines.
+    /// Starts a new region with the given number of rays and sampled lines. Bitsets of earlier regions become
+    /// invalid.
     pub fn begin(&mut self, rays: usize) {
         self.region += 1;
         self.rays = rays.min(MOST);
     }
 
-    /// All rays.
-    pub fn all(&self) -> Bits {
+    /// Returns the set of all rays and lines of the region.
+    pub fn all(&self) -> LineBits {
         std::array::from_fn(|k| match self.rays.saturating_sub(64 * k) {
             n @ 0..64 => (1 << n) - 1,
             _ => u64::MAX,
         })
     }
 
-    /// The range of an occluder's edges, in the order of its border.
+    /// Returns the range of an occluder's edges for [`SideBitsets::edges`], in the order of the occluder's
+    /// border.
     pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: OccluderId) -> Range<usize> {
         if let Some(known) = self.shapes.get(&id) {
             return known.clone();
@@ -162,18 +170,20 @@ impl SideBitsets {
         range
     }
 
-    /// The edges in a range.
-    pub fn edges(&self, of: Range<usize>) -> &[BoundaryEdge] {
-        &self.edges[of]
+    /// Returns the edges in a range that [`SideBitsets::shape`] returned.
+    pub fn edges(&self, range: Range<usize>) -> &[BoundaryEdge] {
+        &self.edges[range]
     }
 
-    /// The rays on the positive side of an edge or, if `negative`, on its negative side.
-    pub fn inside(&mut self, forms: &Forms, edge: BoundaryEdge, negative: bool) -> Bits {
+    /// Returns the rays and sampled lines on the positive side of an edge or, if `negative` is true, on its
+    /// negative side.
+    pub fn inside(&mut self, forms: &Forms, edge: BoundaryEdge, negative: bool) -> LineBits {
         self.row(forms, edge.line)[usize::from(edge.back() != negative)]
     }
 
-    /// The rays on the positive side and on the negative side of the line with this number.
-    pub fn row(&mut self, forms: &Forms, line: u32) -> [Bits; 2] {
+    /// Returns the rays and sampled lines on the positive side and on the negative side of the line with the
+    /// number `line`.
+    pub fn row(&mut self, forms: &Forms, line: u32) -> [LineBits; 2] {
         let at = line as usize;
         if self.rows[at].region != self.region {
             let line = self.lines[at];
@@ -186,15 +196,16 @@ impl SideBitsets {
         self.rows[at].sides
     }
 
-    /// The rays on the positive side and on the negative side of a line; rays nearly on the line are in both
-    /// sets.
-    pub fn sides_of(&mut self, forms: &Forms, line: &[f64; 6]) -> [Bits; 2] {
+    /// Computes the rays and sampled lines on the positive side and on the negative side of a line.
+    ///
+    /// Rays and sampled lines that nearly meet the line are in both sets.
+    pub fn sides_of(&mut self, forms: &Forms, line: &[f64; 6]) -> [LineBits; 2] {
         forms.against(line, &mut self.forms);
         let mut sides = [[0; 4]; 2];
         for (k, chunk) in self.forms[..self.rays].chunks(64).enumerate() {
             let (mut below, mut above) = (0, 0);
             for (i, s) in chunk.iter().enumerate() {
-                // The sign bits are used to avoid branches.
+                // The code uses the sign bits to avoid branches.
                 below |= ((s + ON).to_bits() >> 63) << i;
                 above |= ((ON - s).to_bits() >> 63) << i;
             }
@@ -204,8 +215,9 @@ impl SideBitsets {
         sides
     }
 
-    /// The number of the line between two corners, which runs from the lesser to the greater, if it is in the
-    /// table.
+    /// Returns the number of the line between two corners, or `None` if the table does not contain the line.
+    ///
+    /// The line runs from the lower corner number to the higher.
     pub fn line(&self, corners: [u32; 2]) -> Option<u32> {
         self.numbers
             .get(&[corners[0].min(corners[1]), corners[0].max(corners[1])])
@@ -213,12 +225,12 @@ impl SideBitsets {
     }
 }
 
-/// The intersection of two sets.
-pub fn both(a: Bits, b: Bits) -> Bits {
+/// Returns the intersection of two sets.
+pub fn both(a: LineBits, b: LineBits) -> LineBits {
     std::array::from_fn(|k| a[k] & b[k])
 }
 
-/// The number of rays in a set.
-pub fn count(of: Bits) -> u32 {
-    of.iter().map(|b| b.count_ones()).sum()
+/// Returns the number of rays and lines in a set.
+pub fn count(bits: LineBits) -> u32 {
+    bits.iter().map(|b| b.count_ones()).sum()
 }

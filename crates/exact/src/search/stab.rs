@@ -1,19 +1,20 @@
-//! Lines that stab a sequence of convex polygons: strictly through the inside of each, in order (Teller 1992,
-//! section 7.1).
+//! Lines that stab a sequence of convex polygons: lines that pass strictly through the interior of each
+//! polygon, in order (Teller 1992, section 7.1).
 //!
-//! A line crosses each polygon in one of two directions. With the directions chosen, the polygons before one
-//! lie on one side of its plane and those behind it on the other; parts on the wrong side are cut off, which
-//! also fixes the order. Lines through the first and the last polygon are a convex region of line space, and
-//! every edge in between removes a half-space. What is left is searched for real lines as in a query, with
-//! nothing to trace: a line is checked against all edges, exactly. No tolerance is used.
+//! A line crosses each polygon in one of two directions. For chosen directions, the polygons before a polygon
+//! must lie on one side of its plane, and the polygons after it on the other side. The search cuts off the
+//! parts on the wrong side, which also determines the order of the crossings. Lines through the first and the
+//! last polygon are a convex region of line space, and every edge of a polygon in between removes a
+//! half-space. The search then looks for real lines in the remaining region as a query does, but it traces no
+//! line: it checks each line exactly against all edges. No tolerance is used.
 
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
-use sightline_certificate::proof::Which;
+use sightline_certificate::proof::QueryPolygon;
 
 use crate::arithmetic::number::primitive;
-use crate::geometry::frame::{Frame, Source};
+use crate::geometry::frame::{Frame, PointOrigin};
 use crate::geometry::polygon::Polygon;
 use crate::geometry::predicates::integers;
 use crate::line_space::cone::Region;
@@ -21,55 +22,70 @@ use crate::line_space::klein::{self, Contents, contents};
 use crate::line_space::polar;
 use crate::line_space::space::{Space, VectorId, mix};
 use crate::line_space::stabbing_polyhedron;
-use crate::search::halving::widest;
-use crate::search::local::{Local, Snapped};
-use crate::search::verdict::{Cost, Limits, Reason};
+use crate::search::halves::widest;
+use crate::search::local::{PairState, SightLineEnd};
+use crate::search::verdict::{QueryCost, QueryLimits, UndecidedReason};
 
-/// Normals that are compared with those of the next polygon; a line has one direction.
+/// The maximum number of normals of crossed polygons that the search compares with the normals of the next
+/// polygon.
+///
+/// Each of these normals restricts the direction of a stabbing line.
 const MOST_NORMALS: usize = 12;
-/// Lines in doubles that are tried for one region.
+/// The maximum number of lines in doubles that are tried for one region.
 const LINES: usize = 2;
 
-/// Whether a line stabs a sequence.
+/// The result of the search for a line that stabs a sequence.
 #[derive(Clone, Debug)]
 pub enum Stabbed {
-    /// The line through these points does: the first inside the first polygon, the second inside the last. Of
-    /// a single polygon the second is off its plane.
-    Line(Box<[Source; 2]>),
-    /// No line does.
+    /// A line stabs the sequence and passes through these points.
+    ///
+    /// The first point is inside the first polygon, and the second inside the last.
+    ///
+    /// For a single polygon, the second point is off the polygon's plane.
+    Line(Box<[PointOrigin; 2]>),
+    /// No line stabs the sequence.
     Blocked,
-    /// It is not known.
-    Undecided(Reason),
+    /// The search ended without a result, for this reason.
+    Undecided(UndecidedReason),
 }
 
-/// Looks for a line strictly through the inside of each of the polygons, in order. There must be one.
-/// `stop` is called before every region and every cut of one; the search ends undecided when it returns true.
-pub fn stab(portals: &[Polygon], limits: &Limits, stop: &dyn Fn() -> bool) -> (Stabbed, Cost) {
-    let mut search = Search {
+/// Searches for a line strictly through the interior of each of the polygons, in order.
+///
+/// The sequence needs at least one polygon. The function calls `stop` before every region and before every
+/// cut of a region, and the search ends undecided if `stop` returns true.
+pub fn stab(
+    portals: &[Polygon],
+    limits: &QueryLimits,
+    stop: &dyn Fn() -> bool,
+) -> (Stabbed, QueryCost) {
+    let mut search = StabSearch {
         limits,
         stop,
-        cost: Cost::default(),
+        cost: QueryCost::default(),
     };
     let found = match portals {
         [] => Ok(()),
-        [only] => return (Stabbed::Line(Box::new(across(only))), Cost::default()),
+        [only] => return (Stabbed::Line(Box::new(across(only))), QueryCost::default()),
         _ => search.all(portals),
     };
     let found = match found {
         Ok(()) => Stabbed::Blocked,
-        Err(End::Found(line)) => Stabbed::Line(line),
-        Err(End::Open(reason)) => Stabbed::Undecided(reason),
+        Err(StabEnd::Found(line)) => Stabbed::Line(line),
+        Err(StabEnd::Open(reason)) => Stabbed::Undecided(reason),
     };
     (found, search.cost)
 }
 
-/// The directions in which lines cross polygons in order, each towards a side of the polygon's plane; `None`
-/// when there are none, or several combinations of them.
-pub(super) fn directions(portals: &[Polygon], limits: &Limits) -> Option<Vec<Ordering>> {
-    let mut search = Search {
+/// Computes the directions in which lines cross polygons in order, each towards a side of the polygon's
+/// plane.
+///
+/// The result is `None` if no combination or several combinations of directions exist, or if the search for
+/// them reaches a limit.
+pub(super) fn directions(portals: &[Polygon], limits: &QueryLimits) -> Option<Vec<Ordering>> {
+    let mut search = StabSearch {
         limits,
         stop: &|| false,
-        cost: Cost::default(),
+        cost: QueryCost::default(),
     };
     let ways = search.directed(portals).ok()?;
     <[Directed; 1]>::try_from(ways)
@@ -77,8 +93,8 @@ pub(super) fn directions(portals: &[Polygon], limits: &Limits) -> Option<Vec<Ord
         .map(|[way]| way.towards)
 }
 
-/// A point inside a polygon, and one off its plane, on the side to which its normal points.
-fn across(polygon: &Polygon) -> [Source; 2] {
+/// Computes a point inside a polygon, and a point off its plane, on the side to which its normal points.
+fn across(polygon: &Polygon) -> [PointOrigin; 2] {
     let corners = [0, 1, 2].map(|i| integers(&polygon.points()[i]));
     let [a, b, c] = &corners;
     let inside = mix([a, b, c], &[IBig::ONE, IBig::ONE, IBig::ONE]);
@@ -90,22 +106,25 @@ fn across(polygon: &Polygon) -> [Source; 2] {
             inside[3].clone()
         }
     });
-    [inside, off].map(|p| Source::Exact(Box::new(p)))
+    [inside, off].map(|p| PointOrigin::Exact(Box::new(p)))
 }
 
-/// Polygons that are crossed in known directions: towards the side of their planes that is named.
+/// A sequence of polygons with a chosen direction of crossing for each polygon: the side of its plane to
+/// which lines cross.
 #[derive(Clone)]
 struct Directed {
     polygons: Vec<Polygon>,
     towards: Vec<Ordering>,
-    /// Different normals that the direction of a line has positive products with: the first
-    /// [`MOST_NORMALS`] of them.
+    /// The first [`MOST_NORMALS`] different normals with which the direction of a stabbing line must have a
+    /// positive scalar product.
     normals: Vec<[IBig; 3]>,
 }
 
 impl Directed {
-    /// Whether some direction crosses the plane of a polygon so, and all planes so far as they are crossed.
-    /// True where it is not known.
+    /// Returns true if a line may exist that crosses a polygon towards `normal` and all polygons so far in
+    /// their chosen directions.
+    ///
+    /// The result is also true if the function cannot decide this.
     fn may_go(&self, normal: &[IBig; 3]) -> bool {
         if self.normals.contains(normal) {
             return true;
@@ -114,8 +133,8 @@ impl Directed {
         if self.normals.contains(&opposite) {
             return false;
         }
-        // The directions are a cone. Its edges are among the cross products of two normals, and if it has an
-        // inside their sum is inside.
+        // The directions are a cone. The edges of this cone are among the cross products of two normals, and
+        // if the cone has an interior, the sum of its edges is inside.
         let all: Vec<&[IBig; 3]> = self.normals.iter().chain([normal]).collect();
         let dot = |a: &[IBig; 3], b: &[IBig; 3]| -> IBig { (0..3).map(|i| &a[i] * &b[i]).sum() };
         let cross = |a: &[IBig; 3], b: &[IBig; 3]| -> [IBig; 3] {
@@ -136,7 +155,7 @@ impl Directed {
             }
         }
         let is_pointed = |edges: &[[IBig; 3]]| {
-            // Normals in one plane leave both directions across it.
+            // Normals in one plane allow both directions across this plane.
             !edges
                 .iter()
                 .any(|e| edges.iter().any(|f| (0..3).all(|i| e[i] == -&f[i])))
@@ -148,8 +167,9 @@ impl Directed {
         all.iter().all(|n| dot(n, &sum) > IBig::ZERO)
     }
 
-    /// The next polygon is crossed in a direction, with these parts of its neighbours.
-    fn take(&mut self, (towards, normal): (Ordering, [IBig; 3]), parts: Vec<(usize, Polygon)>) {
+    /// Records the direction in which lines cross the next polygon, and replaces polygons by `parts`, their
+    /// remaining parts. Each part comes with the index of its polygon.
+    fn take(&mut self, towards: Ordering, normal: [IBig; 3], parts: Vec<(usize, Polygon)>) {
         if self.normals.len() < MOST_NORMALS && !self.normals.contains(&normal) {
             self.normals.push(normal);
         }
@@ -160,26 +180,31 @@ impl Directed {
     }
 }
 
-/// How the search ends before all regions are empty.
-enum End {
-    Found(Box<[Source; 2]>),
-    Open(Reason),
+/// The end of the search before all regions are empty.
+enum StabEnd {
+    Found(Box<[PointOrigin; 2]>),
+    Open(UndecidedReason),
 }
 
-/// The search cannot process a region: the polygons must be halved.
-struct Stuck;
+/// The error that a region could not be decided: the caller must halve the polygons.
+struct StabUnprocessable;
 
-/// The state of the search, and the lines of the edges in between with the side on which a line passes them.
-type Ends<'a> = (Local<'a>, Vec<(VectorId, Ordering)>);
+/// The state of the search between the first and the last polygon, and the edges of the polygons in between.
+struct PairSearch<'a> {
+    /// The space of the first and the last polygon, with buffers.
+    local: PairState<'a>,
+    /// The lines of the edges, each with the side on which a stabbing line passes the edge.
+    edges: Vec<(VectorId, Ordering)>,
+}
 
-struct Search<'a> {
-    limits: &'a Limits,
+struct StabSearch<'a> {
+    limits: &'a QueryLimits,
     stop: &'a dyn Fn() -> bool,
-    cost: Cost,
+    cost: QueryCost,
 }
 
-impl Search<'_> {
-    fn all(&mut self, portals: &[Polygon]) -> Result<(), End> {
+impl StabSearch<'_> {
+    fn all(&mut self, portals: &[Polygon]) -> Result<(), StabEnd> {
         let mut open = None;
         for Directed {
             polygons, towards, ..
@@ -193,24 +218,28 @@ impl Search<'_> {
                 .zip(&towards[1..])
                 .map(|(p, t)| (p, *t))
                 .collect();
-            // The ends have rays for each pair of their corners, and are searched in pieces of few.
+            // A region has rays for each pair of corners of the first and the last polygon, so the search
+            // uses pieces with few corners.
             for a in first.clone().pieces() {
                 for b in last.clone().pieces() {
                     match self.pair(&a, &b, &middle, 0) {
                         Ok(()) => {}
-                        Err(End::Open(reason)) => open = Some(reason),
+                        Err(StabEnd::Open(reason)) => open = Some(reason),
                         Err(found) => return Err(found),
                     }
                 }
             }
         }
-        open.map_or(Ok(()), |reason| Err(End::Open(reason)))
+        open.map_or(Ok(()), |reason| Err(StabEnd::Open(reason)))
     }
 
-    /// All ways to cross the polygons in order, each with the parts that can be crossed so: none of a polygon
-    /// is on the wrong side of its neighbours' planes. More than one arises where a polygon reaches through
-    /// another's plane. Each step of a way counts as a region.
-    fn directed(&mut self, portals: &[Polygon]) -> Result<Vec<Directed>, End> {
+    /// Computes all combinations of directions in which a line may cross the polygons in order, each with the
+    /// parts of the polygons that the line can cross.
+    ///
+    /// No such part is on the wrong side of its neighbours' planes. Several combinations arise if a polygon
+    /// reaches through another polygon's plane. Each polygon of each combination counts as a region for the
+    /// limits.
+    fn directed(&mut self, portals: &[Polygon]) -> Result<Vec<Directed>, StabEnd> {
         let mut ways = vec![Directed {
             polygons: portals.to_vec(),
             towards: Vec::new(),
@@ -222,7 +251,7 @@ impl Search<'_> {
             for mut way in ways {
                 self.count(0)?;
                 let [x, y, z, _] = portals[i].plane();
-                // Without a common factor, so that parallel planes have equal or opposite normals.
+                // The normal has no common factor, so that parallel planes have equal or opposite normals.
                 let mut up = [x, y, z];
                 primitive(&mut up);
                 let down = up.each_ref().map(|c| -c);
@@ -234,7 +263,7 @@ impl Search<'_> {
                     .may_go(&down)
                     .then(|| cut(&way, portals, i, Ordering::Less))
                     .flatten();
-                // Mostly there is one direction, and nothing is copied.
+                // For most polygons, only one direction is possible, and then the combination is not copied.
                 let other = if greater.is_some() && less.is_some() {
                     Some(way.clone())
                 } else {
@@ -242,27 +271,27 @@ impl Search<'_> {
                 };
                 match (greater, less) {
                     (Some(greater), less) => {
-                        way.take((Ordering::Greater, up), greater);
+                        way.take(Ordering::Greater, up, greater);
                         next.push(way);
                         if let (Some(mut other), Some(less)) = (other, less) {
-                            other.take((Ordering::Less, down), less);
+                            other.take(Ordering::Less, down, less);
                             next.push(other);
                         }
                     }
                     (None, Some(less)) => {
-                        way.take((Ordering::Less, down), less);
+                        way.take(Ordering::Less, down, less);
                         next.push(way);
                     }
                     (None, None) => {}
                 }
             }
-            // A second way is a copy of all polygons.
+            // Each combination stores a copy of all polygons, so their number counts as memory.
             if next.len() * n > self.limits.vectors as usize {
-                return Err(End::Open(Reason::Memory));
+                return Err(StabEnd::Open(UndecidedReason::Memory));
             }
             ways = next;
         }
-        // The first and the last polygon must be wholly on the right side of each other's planes, too.
+        // The first and the last polygon must be wholly on the required sides of each other's planes, too.
         let fit = |mut way: Directed| {
             let first = behind(
                 &way.polygons[0],
@@ -277,35 +306,36 @@ impl Search<'_> {
         Ok(ways.into_iter().filter_map(fit).collect())
     }
 
-    /// Searches the lines from `a` to `b`, and halves them if the first attempt fails.
+    /// Searches the lines from `a` to `b` for a stabbing line, and halves one of the polygons if the first
+    /// attempt fails. `depth` is the number of earlier halvings.
     fn pair(
         &mut self,
         a: &Polygon,
         b: &Polygon,
         middle: &[(&Polygon, Ordering)],
         depth: u32,
-    ) -> Result<(), End> {
+    ) -> Result<(), StabEnd> {
         if self.try_pair(a, b, middle)?.is_ok() {
             return Ok(());
         }
         if depth == self.limits.divisions {
-            return Err(End::Open(Reason::Divisions));
+            return Err(StabEnd::Open(UndecidedReason::Divisions));
         }
         self.cost.divisions += 1;
         let (which, [from, to]) = widest(a, b);
         let mut open = None;
-        for half in (if which == Which::A { a } else { b }).divided(from, to) {
+        for half in (if which == QueryPolygon::A { a } else { b }).divided(from, to) {
             let found = match which {
-                Which::A => self.pair(&half, b, middle, depth + 1),
-                Which::B => self.pair(a, &half, middle, depth + 1),
+                QueryPolygon::A => self.pair(&half, b, middle, depth + 1),
+                QueryPolygon::B => self.pair(a, &half, middle, depth + 1),
             };
             match found {
                 Ok(()) => {}
-                Err(End::Open(reason)) => open = Some(reason),
+                Err(StabEnd::Open(reason)) => open = Some(reason),
                 Err(found) => return Err(found),
             }
         }
-        open.map_or(Ok(()), |reason| Err(End::Open(reason)))
+        open.map_or(Ok(()), |reason| Err(StabEnd::Open(reason)))
     }
 
     fn try_pair(
@@ -313,84 +343,92 @@ impl Search<'_> {
         a: &Polygon,
         b: &Polygon,
         middle: &[(&Polygon, Ordering)],
-    ) -> Result<Result<(), Stuck>, End> {
+    ) -> Result<Result<(), StabUnprocessable>, StabEnd> {
         let (near_a, near_b) = (a.rounded(), b.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
         let (a_sides, b_sides) = (b.sides(a), a.sides(b));
-        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (a, &a_sides), (b, &b_sides))
+        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, a, &a_sides, b, &b_sides)
         else {
-            return Ok(Err(Stuck));
+            return Ok(Err(StabUnprocessable));
         };
         let edges = edges(&mut space, middle);
         let regions = std::mem::take(&mut pair.regions);
-        let local = Local::new(space, pair, [(a, &near_a[..]), (b, &near_b[..])]);
-        let mut ends = (local, edges);
+        let local = PairState::new(space, pair, [(a, &near_a[..]), (b, &near_b[..])]);
+        let mut pair = PairSearch { local, edges };
         let mut result = Ok(());
         for region in regions {
-            result = self.region(&mut ends, region)?;
+            result = self.region(&mut pair, region)?;
             if result.is_err() {
                 break;
             }
         }
-        self.cost.decisions += ends.0.space.decisions;
+        self.cost.decisions += pair.local.space.decisions;
         Ok(result)
     }
 
-    /// Searches a region and what its splits leave.
-    fn region(&mut self, ends: &mut Ends<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
-        let region = match self.within(ends, region)? {
+    /// Searches a region and the parts that its splits create.
+    fn region(
+        &mut self,
+        pair: &mut PairSearch<'_>,
+        region: Region,
+    ) -> Result<Result<(), StabUnprocessable>, StabEnd> {
+        let region = match self.within(pair, region)? {
             Ok(Some(region)) => region,
             Ok(None) => return Ok(Ok(())),
-            Err(Stuck) => return Ok(Err(Stuck)),
+            Err(StabUnprocessable) => return Ok(Err(StabUnprocessable)),
         };
         let mut open = vec![region];
         let mut splits = 0;
         while let Some(region) = open.pop() {
-            self.count(ends.0.space.size())?;
-            let local = &mut ends.0;
+            self.count(pair.local.space.size())?;
+            let local = &mut pair.local;
             match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => continue,
                 Contents::Unsure => {}
                 Contents::Lines(lines) => {
                     for line in lines {
-                        if let Some(points) = ends.0.snap(&line) {
-                            self.check(ends, points)?;
+                        if let Some((p, q)) = pair.local.snap(&line) {
+                            self.check(pair, p, q)?;
                         }
                     }
                 }
             }
-            if let Some(line) = klein::precise(&mut ends.0.space, &region)
-                && let Some(points) = ends.0.snap_precisely(&line)
+            if let Some(line) = klein::precise(&mut pair.local.space, &region)
+                && let Some((p, q)) = pair.local.snap_precisely(&line)
             {
-                self.check(ends, points)?;
+                self.check(pair, p, q)?;
             }
             if splits == self.limits.splits {
-                return Ok(Err(Stuck));
+                return Ok(Err(StabUnprocessable));
             }
             splits += 1;
             self.cost.splits += 1;
-            let Some((_, parts)) = polar::split(&mut ends.0.space, &region) else {
-                return Ok(Err(Stuck));
+            let Some((_, parts)) = polar::split(&mut pair.local.space, &region) else {
+                return Ok(Err(StabUnprocessable));
             };
             open.extend(parts);
         }
         Ok(Ok(()))
     }
 
-    /// Counts a region; ends the search at the limits.
-    fn count(&mut self, vectors: usize) -> Result<(), End> {
+    /// Counts a region, and returns an error at a limit or if the caller stops the search. `vectors` is the
+    /// number of vectors stored.
+    fn count(&mut self, vectors: usize) -> Result<(), StabEnd> {
         self.cost
             .region(vectors, self.limits, self.stop)
-            .map_or(Ok(()), |reason| Err(End::Open(reason)))
+            .map_or(Ok(()), |reason| Err(StabEnd::Open(reason)))
     }
 
-    /// The part of a region whose lines pass all edges on the right sides; none if it has no inside. Each cut
-    /// counts as a region.
+    /// Returns the part of a region whose lines pass all edges of the polygons in between on the required
+    /// sides.
+    ///
+    /// The result is `None` if this part has no interior. Each cut counts as a region.
     fn within(
         &mut self,
-        (local, edges): &mut Ends<'_>,
+        pair: &mut PairSearch<'_>,
         mut region: Region,
-    ) -> Result<Result<Option<Region>, Stuck>, End> {
+    ) -> Result<Result<Option<Region>, StabUnprocessable>, StabEnd> {
+        let PairSearch { local, edges } = pair;
         let mut sides = Vec::new();
         for (edge, keep) in edges.iter() {
             region.sides(&mut local.space, *edge, &mut sides);
@@ -400,7 +438,7 @@ impl Search<'_> {
             if sides.contains(&keep.reverse()) {
                 self.count(local.space.size())?;
                 let Ok([less, greater]) = region.split(&mut local.space, *edge, &sides) else {
-                    return Ok(Err(Stuck));
+                    return Ok(Err(StabUnprocessable));
                 };
                 region = if *keep == Ordering::Less {
                     less
@@ -412,13 +450,16 @@ impl Search<'_> {
         Ok(Ok(Some(region)))
     }
 
-    /// Ends the search if a line passes all edges on the right sides. Its ends are strictly inside the first
-    /// and the last polygon by construction.
+    /// Ends the search with the line from `p` to `q` if this line passes all edges on the required sides.
+    ///
+    /// The ends are strictly inside the first and the last polygon by construction.
     fn check(
         &mut self,
-        (local, edges): &mut Ends<'_>,
-        (p, q): (Snapped, Snapped),
-    ) -> Result<(), End> {
+        pair: &mut PairSearch<'_>,
+        p: SightLineEnd,
+        q: SightLineEnd,
+    ) -> Result<(), StabEnd> {
+        let PairSearch { local, edges } = pair;
         self.cost.lines += 1;
         let line = local.space.join(p.0, q.0);
         if edges
@@ -426,7 +467,7 @@ impl Search<'_> {
             .all(|(edge, keep)| local.space.side(line, *edge) == *keep)
         {
             self.cost.decisions += local.space.decisions;
-            return Err(End::Found(Box::new([
+            return Err(StabEnd::Found(Box::new([
                 local.source(p.0, 0),
                 local.source(q.0, 1),
             ])));
@@ -435,23 +476,25 @@ impl Search<'_> {
     }
 }
 
-/// The lines of the edges of polygons, and the side on which a line passes them that crosses the polygon in
-/// its direction.
+/// Adds the lines of the polygons' edges to the space.
+///
+/// Each line is returned with its required side: the side on which a line passes the edge if the line crosses
+/// the polygon in the polygon's direction.
 pub(super) fn edges(
     space: &mut Space,
     middle: &[(&Polygon, Ordering)],
 ) -> Vec<(VectorId, Ordering)> {
     let mut out = Vec::new();
     for (polygon, towards) in middle {
-        let mut point = |source: &Source| {
+        let mut point = |source: &PointOrigin| {
             let point = match source {
-                Source::Given(p) => space.frame().given(*p),
-                Source::Exact(p) => space.frame().exact((**p).clone()),
+                PointOrigin::Given(p) => space.frame().given(*p),
+                PointOrigin::Exact(p) => space.frame().exact((**p).clone()),
             };
             space.point(point)
         };
         let corners: Vec<u32> = polygon.points().iter().map(&mut point).collect();
-        // A line that crosses the polygon towards the greater side of its plane.
+        // This line crosses the polygon towards the upper side of its plane.
         let [inside, above] = across(polygon).each_ref().map(&mut point);
         let line = space.join(inside, above);
         let n = corners.len();
@@ -471,7 +514,10 @@ pub(super) fn edges(
     out
 }
 
-/// The neighbours of polygon `i` that remain when it is crossed in a direction; `None` when one vanishes.
+/// Cuts the neighbours of polygon `i` along its plane, and returns the parts that a line can cross if it
+/// crosses polygon `i` in the direction `towards`. Each part comes with the index of its polygon.
+///
+/// The result is `None` if no part of a neighbour remains.
 fn cut(
     way: &Directed,
     portals: &[Polygon],
@@ -491,7 +537,8 @@ fn cut(
     Some(parts)
 }
 
-/// The part of a polygon on a side of another's plane.
-fn behind(polygon: &Polygon, of: &Polygon, keep: Ordering) -> Option<Polygon> {
-    polygon.part(&of.plane(), &of.sides(polygon), keep)
+/// Returns the part of `polygon` on the side `keep` of the plane of `reference`, or `None` if no corner is on
+/// that side.
+fn behind(polygon: &Polygon, reference: &Polygon, keep: Ordering) -> Option<Polygon> {
+    polygon.part(&reference.plane(), &reference.sides(polygon), keep)
 }

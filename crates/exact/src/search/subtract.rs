@@ -1,22 +1,26 @@
-//! How much of a region an occluder blocks, and the subtraction of that part.
+//! The measure of the part of a region that an occluder blocks, and the subtraction of that part.
 
 use std::cmp::Ordering;
 
 use crate::line_space::cone::Region;
 use crate::occluders::{OccluderId, Occluders};
-use crate::search::local::{Constraint, Local};
+use crate::search::local::{Constraint, PairState};
 use crate::search::side_bitsets::{both, count};
 
-impl Local<'_> {
-    /// Starts with the region whose forms [`crate::line_space::klein::contents`] computed last. Later calls
-    /// use its rays and the real lines sampled here.
+impl PairState<'_> {
+    /// Prepares the ranking of occluders for the region that was last passed to
+    /// [`crate::line_space::klein::contents`].
+    ///
+    /// Later calls use the rays of this region and the real lines that this function samples.
     pub fn begin(&mut self) {
         let many = self.forms.sample();
         self.side_bitsets.begin(many);
     }
 
-    /// How much of the region an occluder blocks among the lines that pass it in one direction: the number of
-    /// blocked rays and sampled lines, by rounded signs.
+    /// Estimates the part of the region that an occluder blocks, for lines that pass the occluder in one
+    /// direction.
+    ///
+    /// The result is the number of blocked rays and sampled lines, by rounded signs.
     pub fn held(&mut self, scene: &Occluders, id: OccluderId, negative: bool) -> u32 {
         let mut rays = self.side_bitsets.all();
         for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
@@ -26,8 +30,11 @@ impl Local<'_> {
         count(rays)
     }
 
-    /// An occluder's constraints; those with the largest part of the region outside come first, since large
-    /// early cuts leave less to cut later.
+    /// Returns the order in which [`PairState::subtract`] cuts a region: indices into the constraints of the
+    /// occluder `known`.
+    ///
+    /// Constraints with the largest part of the region outside come first, because large early cuts leave
+    /// smaller parts for later cuts.
     pub fn order(&mut self, known: usize, negative: bool) -> Vec<usize> {
         let mut order: Vec<(u32, usize)> = Vec::with_capacity(self.known[known].lines.len());
         for (k, c) in self.known[known].lines.iter().enumerate() {
@@ -48,8 +55,12 @@ impl Local<'_> {
         order.into_iter().map(|(_, k)| k).collect()
     }
 
-    /// Subtracts from a region the part that an occluder blocks. Returns the cuts made and the part outside
-    /// each cut; None if the occluder blocks nothing or a part becomes too complex.
+    /// Subtracts from a region the part that an occluder blocks. `known` is the occluder's index in the field
+    /// `known`. `negative` is true if lines pass the occluder's edges on their negative side.
+    ///
+    /// The result contains the numbers of the half-spaces that cut the region, and for each cut the part of
+    /// the region outside that half-space. It is `None` if the occluder does not block any part, or if a part
+    /// becomes too complex.
     pub fn subtract(
         &mut self,
         region: &Region,

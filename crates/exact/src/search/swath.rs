@@ -1,4 +1,5 @@
-//! The surface of a swath, and whether it bounds the lit space (Teller 1992, sections 7.2.4, 7.2.5 and 7.3).
+//! The surface of a swath, and the test whether the swath bounds the lit space (Teller 1992, sections 7.2.4,
+//! 7.2.5 and 7.3).
 
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
@@ -6,24 +7,32 @@ use std::collections::BTreeSet;
 use dashu_int::IBig;
 use glam::DVec3;
 
-use crate::geometry::Source;
+use crate::geometry::PointOrigin;
 use crate::geometry::polygon::Polygon;
 use crate::geometry::predicates::{self, integers, orient};
 
-/// An edge of a polygon of the sequence: the polygon's number, and that of the edge after its corner.
+/// An edge of a polygon of the sequence: the index of the polygon, and the index of the corner at which the
+/// edge starts.
 pub type EdgeOf = [usize; 2];
 
 /// The surface of a swath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Surface {
-    /// a, b, c, d with ax + by + cz + d = 0, of a vertex and an edge (VE).
+    /// The plane of a vertex and an edge (VE), as coefficients a, b, c, d of ax + by + cz + d = 0.
     Plane([f64; 4]),
-    /// A to J with Ax² + 2Bxy + 2Cxz + 2Dx + Ey² + 2Fyz + 2Gy + Hz² + 2Iz + J = 0, of three edges (EEE).
-    /// (Equation 7.3 of the thesis prints 2Cxy for 2Cxz.)
+    /// The quadric of three edges (EEE), as coefficients A to J.
+    ///
+    /// The equation is Ax² + 2Bxy + 2Cxz + 2Dx + Ey² + 2Fyz + 2Gy + Hz² + 2Iz + J = 0.
+    ///
+    /// Equation 7.3 of Teller 1992 contains a misprint: 2Cxy in place of 2Cxz.
     Quadric([f64; 10]),
 }
 
-/// The corner of a polygon and the edge of another that a swath touches, if two of its edges share a corner.
+/// Returns the corner of one polygon and the edge of another polygon that a swath touches. The corner is
+/// given by the index of its polygon and its own index.
+///
+/// The result is `None` unless two of the swath's edges share a corner and a third edge is of another
+/// polygon.
 pub fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeOf, EdgeOf)> {
     let pairs = touched
         .iter()
@@ -37,7 +46,7 @@ pub fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeO
             (_, true) => i,
             _ => continue,
         };
-        debug_assert_eq!(p, q, "edges of one polygon");
+        debug_assert_eq!(p, q, "both edges are of one polygon");
         if let Some(edge) = touched.iter().find(|[k, _]| *k != p) {
             return Some(([p, corner], *edge));
         }
@@ -45,12 +54,16 @@ pub fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeO
     None
 }
 
-/// A swath of a corner and an edge bounds the lit space exactly when its plane separates their polygons.
+/// Computes the plane of a swath of a corner and an edge.
+///
+/// The function also returns true if the swath bounds the lit space.
+///
+/// The swath bounds the lit space exactly if its plane separates the polygons of the corner and the edge.
 pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> (bool, Surface) {
     let (first, other) = (portals[p].points(), portals[q].points());
     let ends = [&other[edge], &other[(edge + 1) % other.len()]];
     let v = &first[corner];
-    let sides = |points: &[Source]| -> BTreeSet<Ordering> {
+    let sides = |points: &[PointOrigin]| -> BTreeSet<Ordering> {
         points
             .iter()
             .map(|x| orient([ends[0], ends[1], v, x]))
@@ -63,7 +76,7 @@ pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> 
     let [x, y, z, k] = predicates::plane([&exact[0], &exact[1], &exact[2]]);
     let plane = [x, y, z, -k].map(|c| c.to_f64().value());
     let most = plane.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    // A corner on the line of the edge spans no plane with it.
+    // A corner on the line of the edge does not span a plane with the edge.
     (
         is_boundary,
         Surface::Plane(if most > 0.0 {
@@ -74,8 +87,11 @@ pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> 
     )
 }
 
-/// Whether some direction across a line points into all polygons at the edges that it touches (section
-/// 7.2.4): lines then exist on both sides of the swath. `line` is in the frame of the world.
+/// Returns true if a direction perpendicular to a line points into all polygons at the edges that the line
+/// touches.
+///
+/// Then stabbing lines exist on both sides of the swath (Teller 1992, section 7.2.4). `line` is in world
+/// space.
 pub fn are_contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -> bool {
     let along = DVec3::new(line[0], line[1], line[2]).normalize_or_zero();
     let normals: Vec<DVec3> = touched
@@ -111,8 +127,11 @@ pub fn are_contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -
     gaps.fold(0.0, f64::max) > std::f64::consts::PI
 }
 
-/// The regulus of lines that meet three edges: xᵀ L₃* L₂ L₁* x = 0, where L* maps a point to its plane with a
-/// line, and L a plane to its point on a line.
+/// Computes the quadric of the lines that meet three edges, xᵀ L₃* L₂ L₁* x = 0, as the coefficients of
+/// [`Surface::Quadric`].
+///
+/// For each of the three lines, L* maps a point to the plane through the point and the line, and L maps a
+/// plane to its intersection with the line.
 pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
     let ends = |[p, i]: EdgeOf| {
         let points = portals[p].points();
@@ -121,7 +140,7 @@ pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
             integers(&points[(i + 1) % points.len()]),
         ]
     };
-    // The first three edges, of three polygons where there are as many.
+    // These are the first three edges, of three different polygons if possible.
     let mut ordered_edges: Vec<EdgeOf> = Vec::new();
     for edge in touched {
         if ordered_edges.iter().all(|known| known[0] != edge[0]) {

@@ -1,16 +1,17 @@
 //! Closed surfaces: triangles that are hidden without a query.
 //!
-//! Take a connected set of triangles, connected by shared edges. If every edge has an even number of them,
-//! the set encloses a volume: the parity of the number of crossings along a path says whether the path goes
-//! from outside to inside, and depends on the two ends only (the boundary of a boundary is empty, modulo 2).
-//! If a view cell that the surface does not meet has one parity, and the side of a triangle that faces the
-//! cell has the other, then every segment from the cell to the interior of that triangle crosses the surface
-//! earlier: the triangle is hidden. This holds for the back of every solid and for the inside of a wall.
+//! Take a set of triangles that are connected by shared edges. If every edge has an even number of triangles,
+//! the set encloses a volume. The parity of the number of crossings along a path then shows if the path goes
+//! from outside to inside. The parity depends only on the two ends of the path (the boundary of a boundary is
+//! empty, modulo 2). Suppose that a view cell that the surface does not meet has one parity, and that the
+//! side of a triangle towards the cell has the other. Then every segment from the cell to the interior of
+//! that triangle crosses the surface earlier, so the triangle is hidden. This holds for the back of every
+//! solid and for the inside of a wall.
 //!
-//! Real surfaces have holes. Edges with an odd number of triangles are closed by *patches*: a fan from one
-//! corner for each connected set of such edges. The argument then holds for segments that miss the patches,
-//! and so for all segments if no patch meets the convex hull of cell and triangle.
-//! [`sightline_certificate::checker`] decides all this again from the triangles alone.
+//! Real surfaces have holes. *Patches* close the edges with an odd number of triangles: a fan from one corner
+//! for each connected set of such edges. The argument then holds for segments that miss the patches, and so
+//! for all segments if no patch meets the convex hull of cell and triangle.
+//! [`sightline_certificate::checker`] repeats all these decisions from only the triangles.
 
 use std::cmp::Ordering;
 
@@ -20,6 +21,7 @@ use sightline_certificate::certificate::few_odd_edges;
 use sightline_geometry::predicates::orient3d_sign;
 use sightline_geometry::predicates::{Crossing, crossing};
 use sightline_numbers::union_find::UnionFind;
+use sightline_scene::TriangleId;
 
 use super::crossing_order::sooner;
 use super::patches::cover;
@@ -28,50 +30,57 @@ use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
 
-/// Segments tried to find a parity; most first ones are in general position.
+/// The maximum number of segments tried to determine a parity. For most parities, the first segment is in
+/// general position and determines it.
 const TRIES: u32 = 6;
 
 /// The closed surfaces of a scene.
 pub struct Surfaces {
-    /// For each triangle, its surface and the parity on the side of its normal; none where the parity was not
-    /// found, or is undefined because other triangles of the surface pass through the triangle.
+    /// For each triangle, the index of its surface, and the parity on the side to which the triangle's normal
+    /// points: true for inside.
+    ///
+    /// The value is `None` if the parity was not determined, or is undefined because other triangles of the
+    /// surface pass through the triangle.
     sides: Vec<Option<(u32, bool)>>,
-    /// For each triangle, its closed surface, if it has one.
-    of: Vec<Option<u32>>,
+    /// For each triangle, the index of its closed surface; `None` if the triangle is in no closed surface.
+    by_triangle: Vec<Option<u32>>,
     surfaces: Vec<ClosedSurface>,
 }
 
+/// The bounding box of a closed surface's triangles, and the patches that close the surface.
 struct ClosedSurface {
     min: Vec3,
     max: Vec3,
     patches: Vec<[Vec3; 3]>,
 }
 
-/// The parities of one view cell.
+/// The parities of one view cell, one for each closed surface.
 pub struct FromCell<'a> {
     surfaces: &'a Surfaces,
     scene: &'a Occluders,
     cell: Cell,
-    /// The parity of the cell by surface; none if the surface meets the cell or no parity was found.
+    /// For each surface, the parity of the cell: true if the cell is inside the surface.
+    ///
+    /// The value is `None` if the surface meets the cell or no parity was determined.
     parity: Vec<Option<bool>>,
 }
 
-/// From which part of a cell a surface hides one of its triangles.
+/// The part of a cell from which a closed surface hides a triangle of the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hides {
-    /// No part, as far as known.
+pub enum HiddenFrom {
+    /// No part: the surface is not known to hide the triangle.
     Nothing,
-    /// The part on this side of the triangle's plane.
+    /// The part of the cell on this side of the triangle's plane.
     From(Ordering),
     /// The whole cell.
     All,
 }
 
 impl Surfaces {
-    /// Finds the surfaces of a scene.
+    /// Computes the closed surfaces of a scene.
     pub fn new(scene: &Occluders) -> Self {
         let n = scene.len();
-        let solid = |t: u32| scene.of(t).is_some();
+        let solid = |t: u32| scene.occluder_id(TriangleId(t)).is_some();
         let mut edges: Vec<([u32; 2], u32)> = Vec::new();
         for t in (0..n as u32).filter(|t| solid(*t)) {
             let c = scene.corners(t);
@@ -86,7 +95,7 @@ impl Surfaces {
                 .skip(1)
                 .for_each(|(_, t)| sets.join(run[0].1, *t));
         }
-        // Odd edges by the surface they belong to.
+        // The odd edges, by the surface that contains them.
         let mut odd: Vec<(u32, [u32; 2], [Vec3; 2])> = Vec::new();
         for run in edges
             .chunk_by(|a, b| a.0 == b.0)
@@ -145,13 +154,13 @@ impl Surfaces {
         }
         let mut all = Self {
             sides: Vec::new(),
-            of: surface_ids,
+            by_triangle: surface_ids,
             surfaces,
         };
         all.sides = (0..n as u32)
             .into_par_iter()
             .map_init(Vec::new, |scratch, t| {
-                let s = all.of[t as usize]?;
+                let s = all.by_triangle[t as usize]?;
                 if all.is_pierced(scene, s, t, scratch) {
                     return None;
                 }
@@ -161,7 +170,7 @@ impl Surfaces {
         all
     }
 
-    /// Whether other triangles of the surface may have points inside a triangle.
+    /// Returns true if another triangle of surface `s` may have points in the interior of triangle `t`.
     fn is_pierced(&self, scene: &Occluders, s: u32, t: u32, near: &mut Vec<u32>) -> bool {
         let v = *scene.triangle(t);
         near.clear();
@@ -170,12 +179,13 @@ impl Surfaces {
             .in_box(v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2]), near);
         near.iter().any(|u| {
             *u != t
-                && self.of[*u as usize] == Some(s)
+                && self.by_triangle[*u as usize] == Some(s)
                 && may_pierce(&v, scene.triangle(*u), scene.corners(t), scene.corners(*u))
         })
     }
 
-    /// The parity on the side a triangle's normal points to.
+    /// Computes the parity of surface `s` on the side to which the normal of triangle `t` points, or returns
+    /// `None` if no tried segment determines the parity.
     fn front(&self, scene: &Occluders, s: u32, t: u32, near: &mut Vec<u32>) -> Option<bool> {
         let [a, b, c] = *scene.triangle(t);
         let mut random = Random::new(u64::from(s), u64::from(t));
@@ -192,14 +202,15 @@ impl Surfaces {
                 Ordering::Greater => Some(false),
                 Ordering::Equal => None,
             };
-            if let Some(odd) = self.crossings(scene, s, (from, to), Some(t), &before, near) {
+            if let Some(odd) = self.crossings(scene, s, from, to, Some(t), &before, near) {
                 return Some(odd == (orient3d_sign(a, b, c, from) == Ordering::Greater));
             }
         }
         None
     }
 
-    /// A point outside of the surface and its patches, nearly along an axis from a point.
+    /// Chooses a random point outside of the surface and its patches, nearly along an axis from the point
+    /// `from`.
     fn outside(&self, s: u32, from: Vec3, random: &mut Random) -> Vec3 {
         let ClosedSurface { min, max, .. } = &self.surfaces[s as usize];
         let size = (*max - *min).max_element();
@@ -216,13 +227,17 @@ impl Surfaces {
         to
     }
 
-    /// Whether the segment crosses an odd number of the triangles and patches for which `counts` is true;
-    /// none where it only touches one, or where `counts` is none.
+    /// Returns true if the segment from `p` to `q` crosses an odd number of triangles and patches of surface
+    /// `s`. The triangle `without` does not count.
+    ///
+    /// Another triangle or patch counts if `counts` returns true for it. The result is `None` if the segment
+    /// touches the border of a triangle or patch, or if `counts` returns `None`.
     fn crossings(
         &self,
         scene: &Occluders,
         s: u32,
-        (p, q): (Vec3, Vec3),
+        p: Vec3,
+        q: Vec3,
         without: Option<u32>,
         counts: &dyn Fn(&[Vec3; 3]) -> Option<bool>,
         near: &mut Vec<u32>,
@@ -232,7 +247,7 @@ impl Surfaces {
         scene.along(p.as_dvec3(), q.as_dvec3(), size, near);
         let own = near
             .iter()
-            .filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+            .filter(|u| self.by_triangle[**u as usize] == Some(s) && Some(**u) != without);
         let mut odd = false;
         for u in own
             .map(|u| scene.triangle(*u))
@@ -247,7 +262,8 @@ impl Surfaces {
         Some(odd)
     }
 
-    /// The parities of a cell. `meeting` holds the triangles that meet the cell.
+    /// Computes the parity of a cell for each surface. `meeting` contains the blocking triangles that meet
+    /// the cell.
     pub fn seen_from<'a>(
         &'a self,
         scene: &'a Occluders,
@@ -257,7 +273,7 @@ impl Surfaces {
         let mut met = vec![false; self.surfaces.len()];
         meeting
             .iter()
-            .filter_map(|t| self.of[*t as usize])
+            .filter_map(|t| self.by_triangle[*t as usize])
             .for_each(|s| met[s as usize] = true);
         let [min, max] = cell.corners();
         let middle = (min * 0.5 + max * 0.5).clamp(min, max);
@@ -275,14 +291,7 @@ impl Surfaces {
                     let to = self.outside(s, middle, &mut random);
                     let out = to.cmplt(*min).any() || to.cmpgt(*max).any();
                     let odd = || {
-                        self.crossings(
-                            scene,
-                            s,
-                            (middle, to),
-                            None,
-                            &|_| Some(true),
-                            &mut Vec::new(),
-                        )
+                        self.crossings(scene, s, middle, to, None, &|_| Some(true), &mut Vec::new())
                     };
                     out.then(odd).flatten()
                 })
@@ -298,15 +307,16 @@ impl Surfaces {
 }
 
 impl FromCell<'_> {
-    /// From which part of the cell a triangle that does not meet the cell is hidden by its surface.
-    pub fn hides(&self, t: u32) -> Hides {
+    /// Returns the part of the cell from which the surface of triangle `t` hides this triangle. The triangle
+    /// must not meet the cell.
+    pub fn hides(&self, t: u32) -> HiddenFrom {
         let Some((s, front)) = self.surfaces.sides[t as usize] else {
-            return Hides::Nothing;
+            return HiddenFrom::Nothing;
         };
         let Some(cell) = self.parity[s as usize] else {
-            return Hides::Nothing;
+            return HiddenFrom::Nothing;
         };
-        // The side it is hidden from: the one with the other parity.
+        // The hidden side of the triangle is the side with the other parity.
         let hidden = if cell == front {
             Ordering::Less
         } else {
@@ -323,17 +333,18 @@ impl FromCell<'_> {
                 .iter()
                 .all(|p| self.apart(v, p))
         {
-            return Hides::Nothing;
+            return HiddenFrom::Nothing;
         }
         if sides.contains(&hidden.reverse()) {
-            Hides::From(hidden)
+            HiddenFrom::From(hidden)
         } else {
-            Hides::All
+            HiddenFrom::All
         }
     }
 
-    /// Whether an axis, the patch's plane or the triangle's plane separates a patch from the convex hull of
-    /// the cell and a triangle.
+    /// Returns true if a plane separates a patch from the convex hull of the cell and a triangle.
+    ///
+    /// The tested planes are planes perpendicular to the axes, the patch's plane and the triangle's plane.
     fn apart(&self, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
         let [lo, hi] = self.cell.corners();
         let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
@@ -347,12 +358,13 @@ impl FromCell<'_> {
             return true;
         }
         let cell = self.cell.all_corners();
-        let side = |of: &[Vec3; 3], p: &Vec3| orient3d_sign(of[0], of[1], of[2], *p);
+        let side = |t: &[Vec3; 3], p: &Vec3| orient3d_sign(t[0], t[1], t[2], *p);
         let first = side(patch, &cell[0]);
         if first != Ordering::Equal && cell.iter().chain(t).all(|p| side(patch, p) == first) {
             return true;
         }
-        // The triangle's plane: all of the cell on one side or on it, all of the patch strictly on the other.
+        // The triangle's plane separates if all of the cell is on one side or on the plane, and all of the
+        // patch is strictly on the other side.
         let beyond = side(t, &patch[0]);
         beyond != Ordering::Equal
             && patch.iter().all(|p| side(t, p) == beyond)

@@ -1,4 +1,5 @@
-//! The order in which a segment crosses two triangles: in doubles with a bound, otherwise in integers.
+//! The order in which a segment crosses two triangles, computed in doubles with an error bound or, if the
+//! bound leaves the order open, in integers.
 
 use std::cmp::Ordering;
 
@@ -10,21 +11,23 @@ use sightline_geometry::rounding::UNIT as U;
 use crate::arithmetic::number::homogeneous;
 use crate::geometry::predicates;
 
-/// Compares the places where a segment passes through two triangles: `Less` if it crosses `u` first.
+/// Compares the points at which the segment from `from` to `to` crosses two triangles: `Less` if the segment
+/// crosses `u` first.
 pub fn sooner(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
     sooner_filtered(u, t, from, to).unwrap_or_else(|| sooner_exact(u, t, from, to))
 }
 
-/// Returns the order of [`sooner`] if doubles decide it.
+/// Computes the order of [`sooner`] in doubles, or returns `None` if doubles cannot decide it.
 ///
-/// The segment crosses a plane at from + s(to − from) with s = a / (a + b), a and b the distances of the ends
-/// to the plane: s(u) < s(t) if a(u) b(t) < a(t) b(u).
+/// The segment crosses a plane at from + s(to − from) with s = a / (a + b), where a and b are the distances
+/// of the ends from the plane. So s(u) < s(t) if a(u) b(t) < a(t) b(u).
 fn sooner_filtered(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Option<Ordering> {
-    let heights = |of: &[Vec3; 3]| [from, to].map(|p| height(of, p));
+    let heights = |triangle: &[Vec3; 3]| [from, to].map(|p| height(triangle, p));
     let ([au, bu], [at, bt]) = (heights(u), heights(t));
     let less = |x: (f64, f64), y: (f64, f64), z: (f64, f64), w: (f64, f64)| {
-        // Compares the upper bound of a product with the lower bound of another. The bounds cover the
-        // roundings, below 8u of each product, because they are twice the errors, and so 8u too large.
+        // The closure compares the upper bound of a product with the lower bound of another. The bounds are
+        // twice the errors, and so 8u too large. This covers the roundings, which are below 8u of each
+        // product.
         (x.0 + x.1) * (y.0 + y.1) < (z.0 - z.1).max(0.0) * (w.0 - w.1).max(0.0)
     };
     if less(au, bt, at, bu) {
@@ -36,11 +39,11 @@ fn sooner_filtered(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Option
 
 /// Computes the order of [`sooner`] in integers.
 fn sooner_exact(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
-    let exact = |of: &[Vec3; 3]| {
+    let exact = |triangle: &[Vec3; 3]| {
         let point = |v: Vec3| homogeneous(v.as_dvec3().to_array());
-        let [a, b, c] = of.map(point);
+        let [a, b, c] = triangle.map(point);
         let flat = predicates::plane([&a, &b, &c]);
-        // Multiplying by the other end's w gives both heights one scale.
+        // Multiply each height by the other end's w, so that both heights have the same scale.
         let (p, q) = (point(from), point(to));
         [
             predicates::height(&flat, &p) * &q[3],
@@ -51,7 +54,8 @@ fn sooner_exact(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering 
     (au * bt).abs().cmp(&(at * bu).abs())
 }
 
-/// Returns the distance of a point from a triangle's plane, times twice the area, and a bound on its error.
+/// Computes the distance of a point from a triangle's plane, times twice the triangle's area, and a bound on
+/// the error of this product.
 ///
 /// The error is at most 8u of the products' magnitudes: 7u as in the filter of
 /// [`sightline_geometry::predicates::orient3d_sign`], and u for the last addition. The bound is twice that.
@@ -75,9 +79,10 @@ mod tests {
         Vec3::from(c)
     }
 
-    /// A triangle crosses at the place of the same triangle with another first corner, but the heights of the
-    /// segment's ends round differently. Near the plane the roundings decide: without their bound the filter
-    /// would order equal places.
+    /// The two triangles differ only in their first corner, so the segment crosses both at one point.
+    ///
+    /// The heights of the segment's ends still round differently. Near the plane the roundings decide:
+    /// without their bound, the filter would order equal points.
     #[test]
     fn filter_leaves_equal_triangles_open() {
         let mut differing = 0;
@@ -98,7 +103,7 @@ mod tests {
         assert!(differing > 100, "{differing} of 200");
     }
 
-    /// Heights without an error: the segment begins at a corner of both triangles.
+    /// The heights have no error, because the segment begins at a corner of both triangles.
     #[test]
     fn filter_leaves_common_corner_open() {
         let u = [Vec3::ZERO, Vec3::X, Vec3::Y];
@@ -109,7 +114,7 @@ mod tests {
     }
 
     proptest! {
-        /// The bound covers the error of the height, which integers give, at points near the plane too.
+        /// The bound covers the error of the height, which integers determine, also at points near the plane.
         #[test]
         fn heights_err_by_less_than_bound(
             t in prop::array::uniform3(prop::array::uniform3(-1.0f32..1.0)),
@@ -120,7 +125,7 @@ mod tests {
             let on = t[0] + (t[1] - t[0]) * mix[0] + (t[2] - t[0]) * mix[1];
             let p = if near { on } else { vector(p) * 2f32.powi(e) };
             let (rounded, bound) = height(&t, p);
-            // Coordinates are integers times 2⁻¹⁹⁰, so the determinant is one times 2⁻⁵⁷⁰.
+            // The coordinates are integers times 2⁻¹⁹⁰, so the determinant is an integer times 2⁻⁵⁷⁰.
             let whole = |x: f64| {
                 let (m, at) = dyadic(x);
                 if m == 0 { IBig::ZERO } else { IBig::from(m) << (at + 190) as usize }
@@ -133,21 +138,21 @@ mod tests {
             let scaled = |x: f64| {
                 let (m, at) = dyadic(x);
                 let at = if m == 0 { 0 } else { at + 570 };
-                // Bounds can be finer than the determinant; rounded down they are stricter.
+                // Bounds can be finer than the determinant; rounded down, they are stricter.
                 if at < 0 { IBig::from(m) >> -at as usize } else { IBig::from(m) << at as usize }
             };
             let off = (scaled(rounded) - det.abs()).abs();
             prop_assert!(off <= scaled(bound));
         }
 
-        /// Planes z = k + a few bits, crossed by a steep segment at rational places.
+        /// Planes z = k + a few bits, crossed by a steep segment at rational points.
         #[test]
         fn order_agrees_with_rational_places(
             tilt in prop::array::uniform4(-8i32..9), z in prop::array::uniform2(-4i32..5),
             fine in prop::array::uniform2(-2i32..3), x in prop::array::uniform4(-8i32..9), shift in 0u32..21,
             e in -4i32..2,
         ) {
-            // Corners (0, 0), (8, 0), (0, 8) with heights of 24 bits.
+            // The corners are (0, 0), (8, 0), (0, 8), with heights of 24 bits.
             let plane = |k: usize| {
                 let z = (z[k] << shift) + fine[k];
                 [[0, 0, z], [8, 0, z + tilt[2 * k]], [0, 8, z + tilt[2 * k + 1]]]
@@ -156,13 +161,13 @@ mod tests {
             let up = 1i32 << 23;
             let (from, to) = ([x[0], x[1], -up], [x[2], x[3], up]);
             // Eight times the distance above the plane, along z.
-            let above = |of: &[[i32; 3]; 3], p: [i32; 3]| {
-                let [a, b, c] = of.map(|q| i128::from(q[2]));
+            let above = |triangle: &[[i32; 3]; 3], p: [i32; 3]| {
+                let [a, b, c] = triangle.map(|q| i128::from(q[2]));
                 let [x, y, z] = p.map(i128::from);
                 (8 * (z - a) - (b - a) * x - (c - a) * y).abs()
             };
             let truth = (above(&u, from) * above(&t, to)).cmp(&(above(&t, from) * above(&u, to)));
-            // Of some points the coordinates are fractions then.
+            // With this scale, the coordinates of some points are fractions.
             let float = |p: [i32; 3]| vector(p.map(|c| c as f32)) * 2f32.powi(e);
             let (u, t, from, to) = (u.map(float), t.map(float), float(from), float(to));
             prop_assert_eq!(sooner(&u, &t, from, to), truth);
@@ -172,7 +177,7 @@ mod tests {
             prop_assert!(sooner_filtered(&u, &t, from, to).is_none_or(|order| order == truth));
         }
 
-        /// A filter that always left the order open would be slow and would pass every other test.
+        /// A filter that never decided the order would be slow but would pass every other test.
         #[test]
         fn filter_decides_clear_orders(
             z in -0.5f32..0.0, off in prop::array::uniform4(prop::array::uniform3(-0.01f32..0.01)),

@@ -1,8 +1,8 @@
-//! Closed surfaces: which triangles they hide from a view cell without a query.
+//! Closed surfaces: triangles that a surface hides from a view cell without a query.
 
 mod closed;
 mod crossing_order;
 mod patches;
 mod piercing;
 
-pub use closed::{Hides, Surfaces};
+pub use closed::{HiddenFrom, Surfaces};

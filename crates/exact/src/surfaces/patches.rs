@@ -2,11 +2,13 @@
 
 use glam::Vec3;
 
-/// Patches that close some odd edges: for each connected set, the triangles between one of its corners and
-/// each edge.
+/// Computes patches that close the odd edges of a surface.
 ///
-/// At every corner an even number of odd edges meet (each triangle has two edges there), so the other edges
-/// of the patches cancel.
+/// For each connected set of edges, the patches are the triangles between one corner of the set and each
+/// edge.
+///
+/// An even number of odd edges meet at every corner, because each triangle has two edges there. So the other
+/// edges of the patches cancel.
 pub fn cover(odd: &[[Vec3; 2]]) -> Vec<[Vec3; 3]> {
     // Adding 0 turns −0 into 0.
     let key = |v: Vec3| (v + Vec3::ZERO).to_array().map(f32::to_bits);

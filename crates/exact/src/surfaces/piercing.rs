@@ -1,4 +1,4 @@
-//! Whether one triangle of a surface may pass through another.
+//! The test whether one triangle of a surface may pass through another triangle of the surface.
 
 use std::cmp::Ordering;
 
@@ -6,15 +6,16 @@ use glam::Vec3;
 use sightline_geometry::predicates::{Crossing, crossing};
 use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 
-/// Whether a triangle `u` may have a point inside `t`. `ct` and `cu` number the corners; equal positions have
-/// equal numbers.
+/// Returns true if a triangle `u` may have a point in the interior of a triangle `t`.
+///
+/// `ct` and `cu` contain the corner numbers of `t` and `u`. Corners at equal positions have equal numbers.
 pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
-    // A shared corner is in the plane; exact arithmetic would take longest to show this.
-    let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
+    // A shared corner is in the triangle's plane, and exact arithmetic would take long to show this.
+    let place = |triangle: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
         if c.contains(&n) {
             Ordering::Equal
         } else {
-            orient3d_sign(of[0], of[1], of[2], p)
+            orient3d_sign(triangle[0], triangle[1], triangle[2], p)
         }
     };
     let sides = [0, 1, 2].map(|k| place(t, ct, (u[k], cu[k])));
@@ -26,15 +27,15 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
     }
     let shared = cu.iter().filter(|c| ct.contains(c)).count();
     if shared >= 2 {
-        // Two different planes through a common edge meet only in its line.
+        // Two different planes through a common edge meet only in the line of this edge.
         return false;
     }
-    // u meets t's plane in a segment. If it enters t, an end of the segment is inside t or an edge of t
+    // u meets t's plane in a segment. If the segment enters t, an end of it is inside t or an edge of t
     // crosses u.
     let edges = [(0, 1), (1, 2), (2, 0)];
     let enters = edges.iter().any(|(i, j)| {
         let (a, b) = (u[*i], u[*j]);
-        // A shared corner is on t's border; if the other end is off the plane, so is the rest of the edge.
+        // A shared corner is on t's border. If the other end is off t's plane, so is the rest of the edge.
         let apart = sides[*i] == sides[*j] && sides[*i] != Ordering::Equal;
         let at_corner = sides[*i] == Ordering::Equal
             && ct.contains(&cu[*i])
@@ -48,7 +49,7 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
     enters
         || edges.iter().any(|(i, j)| {
             let ends = [i, j].map(|k| place(u, cu, (t[*k], ct[*k])));
-            // Also true of an edge in u's plane: u then meets t's plane along that edge.
+            // This is also true for an edge in u's plane: u then meets t's plane along that edge.
             let apart = ends[0] == ends[1];
             let at_corner = ends[0] == Ordering::Equal
                 && cu.contains(&ct[*i])
@@ -58,10 +59,12 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
         })
 }
 
-/// Whether two triangles in one plane have inner points in common: no line along an edge of one has the other
-/// on its outer side.
+/// Returns true if two triangles in one plane have inner points in common.
+///
+/// This is the case if no line along an edge of one triangle has the other triangle on its outer side.
 fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
-    // Projected along an axis the plane does not contain: one in which both keep their area.
+    // The triangles are projected along an axis that their plane does not contain, so that both keep their
+    // area.
     let turn = |k: usize, p: [Vec3; 3]| {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);
         orient2d_sign(a, b, c)
@@ -78,8 +81,10 @@ fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
     !(separated(t, u) || separated(u, t))
 }
 
-/// Whether a segment in a triangle's plane has points inside the triangle: it is on the outer side of no
-/// edge, and its own line has corners of the triangle on both sides.
+/// Returns true if a segment in a triangle's plane has points in the interior of the triangle.
+///
+/// This is the case if the segment is not on the outer side of an edge, and corners of the triangle are on
+/// both sides of the segment's line.
 fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
     let turn = |k: usize, p: [Vec3; 3]| {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);

@@ -1,7 +1,7 @@
-//! Scenes with view cells, and shorthands for deciding these.
+//! Scenes with view cells, and functions that decide these cells.
 
 use glam::Vec3;
-use sightline_exact::{Cell, Decided, ExactScene, Limits, Task, decide};
+use sightline_exact::{Cell, CellDecisions, CellTask, ExactScene, QueryLimits, decide};
 use sightline_scene::Aabb;
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -22,15 +22,15 @@ pub fn solve(
     cell: Aabb,
     seen: &[u32],
     stop: &(dyn Fn() -> bool + Sync),
-) -> Decided {
-    decide(&Task {
+) -> CellDecisions {
+    decide(&CellTask {
         scene,
         cell: Cell::new(cell.min, cell.max).unwrap(),
-        places: None,
+        region: None,
         seen,
         above: &[],
         listed: None,
-        limits: Limits::default(),
+        limits: QueryLimits::default(),
         seed: 7,
         keep: true,
         stop,
@@ -38,14 +38,16 @@ pub fn solve(
     })
 }
 
-/// The set of a cell, as results have it: with what is undecided.
-pub fn set(d: &Decided) -> Vec<u32> {
+/// Returns the set of a cell as results store it: with the undecided triangles.
+pub fn set(d: &CellDecisions) -> Vec<u32> {
     let mut all = [d.visible.as_slice(), &d.undecided].concat();
     all.sort_unstable();
     all
 }
 
-/// A room of two chambers with a door between them, and boxes in both.
+/// Creates a room of two chambers, and a cell in the first chamber.
+///
+/// A door connects the chambers, and both contain boxes.
 pub fn chambers() -> (Vec<Corners>, Aabb) {
     let mut t: Vec<Corners> = Vec::new();
     let mut quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| {
@@ -61,7 +63,7 @@ pub fn chambers() -> (Vec<Corners>, Aabb) {
         quad(p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0));
         quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1));
     };
-    // The shell, the dividing wall with a door at y < 1, and what stands around.
+    // The shell, the dividing wall with a door at y < 1, and the boxes in the chambers.
     block([0.0, 0.0, 0.0], [20.0, 10.0, 3.0]);
     block([10.0, 1.0, 0.0], [10.5, 10.0, 3.0]);
     for k in 0..6 {
@@ -69,7 +71,7 @@ pub fn chambers() -> (Vec<Corners>, Aabb) {
         block([x, 2.0 + k as f32, 0.0], [x + 0.5, 2.75 + k as f32, 1.5]);
     }
     block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
-    // Outside of everything.
+    // This box is outside of the room.
     block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
     (
         t,

@@ -1,4 +1,4 @@
-//! What the tests of queries share: scenes that have every verdict checked, places to put them, random
+//! Helpers of the tests of queries: scenes that check every verdict, places for constructions, and random
 //! numbers.
 
 #![allow(
@@ -15,13 +15,13 @@ use glam::{DMat3, DQuat, DVec3, Vec3};
 use sightline_certificate::checker;
 use sightline_certificate::checker::Refusal;
 use sightline_exact::predicates::integers;
-use sightline_exact::{Limits, Occluders, Polygon, Verdict, sightlines};
+use sightline_exact::{Occluders, Polygon, QueryLimits, Verdict, sightlines};
 use sightline_numbers::random::SplitMix64;
 use sightline_scene::{Object, Scene, Triangle};
 
 pub type Corners = [Vec3; 3];
 
-/// A scene to ask.
+/// A scene for queries.
 pub struct World {
     pub triangles: Vec<Corners>,
     occluders: Occluders,
@@ -47,9 +47,9 @@ impl World {
         }
     }
 
-    /// The verdict on lists of parts, or why the checker refuses it.
+    /// Returns the verdict on lists of parts, or the reason why the checker rejects it.
     pub fn verdict(&self, a: &[Polygon], b: &[Polygon]) -> Result<Verdict, String> {
-        let (verdict, _) = sightlines(&self.occluders, a, b, &Limits::default());
+        let (verdict, _) = sightlines(&self.occluders, a, b, &QueryLimits::default());
         match check(&self.triangles, a, b, &verdict) {
             Ok(()) => Ok(verdict),
             Err(refusal) => Err(format!(
@@ -59,7 +59,7 @@ impl World {
         }
     }
 
-    /// Whether parts of `b` are seen from parts of `a`, or why that is not known.
+    /// Returns true if parts of `b` are visible from parts of `a`, or the reason why this is unknown.
     pub fn try_parts(&self, a: &[Polygon], b: &[Polygon]) -> Result<bool, String> {
         match self.verdict(a, b)? {
             Verdict::Visible(_) => Ok(true),
@@ -70,18 +70,18 @@ impl World {
         }
     }
 
-    /// Whether the convex polygon `b` is seen from `a`, or why that is not known.
+    /// Returns true if the convex polygon `b` is visible from `a`, or the reason why this is unknown.
     pub fn try_sees(&self, a: &[DVec3], b: &[DVec3]) -> Result<bool, String> {
         let polygon = |p: &[DVec3]| Polygon::checked(p).map_err(|e| format!("{e}: {p:?}"));
         self.try_parts(&polygon(a)?, &polygon(b)?)
     }
 
-    /// Whether the convex polygon `b` is seen from `a`, which must be decided.
+    /// Returns true if the convex polygon `b` is visible from `a`. The query must be decided.
     pub fn sees(&self, a: &[DVec3], b: &[DVec3]) -> bool {
         self.try_sees(a, b).unwrap_or_else(|why| panic!("{why}"))
     }
 
-    /// The same, asked both ways.
+    /// Returns the result of [`World::sees`] and checks that both directions agree.
     pub fn mutual(&self, a: &[DVec3], b: &[DVec3]) -> bool {
         let seen = self.sees(a, b);
         assert_eq!(
@@ -93,7 +93,7 @@ impl World {
         seen
     }
 
-    /// Numbers that a failing case can be made of again, to the last bit.
+    /// Formats the numbers of a failing case exactly, so that the case can be reproduced.
     fn described(&self, a: &[Polygon], b: &[Polygon]) -> String {
         let points = |parts: &[Polygon]| parts.iter().map(|p| p.rounded()).collect::<Vec<_>>();
         format!(
@@ -105,7 +105,7 @@ impl World {
     }
 }
 
-/// Whether the checker accepts what a verdict rests on.
+/// Checks the witness or the proof of a verdict.
 pub fn check(
     scene: &[Corners],
     a: &[Polygon],
@@ -128,11 +128,12 @@ pub fn check(
     }
 }
 
-/// Where a construction is put: its coordinates are scaled and shifted alike and rounded to single precision,
-/// then turned.
+/// The place of a construction.
 ///
-/// Until it is turned, what was equal stays equal and what was less does not become more. Turns by
-/// permutations of the axes are exact.
+/// Coordinates are scaled and shifted alike and rounded to single precision, then turned.
+///
+/// Until a construction is turned, equal coordinates stay equal, and the order of coordinates never reverses.
+/// Turns by permutations of the axes are exact.
 #[derive(Clone, Debug)]
 pub struct Place {
     pub scale: f64,
@@ -141,12 +142,12 @@ pub struct Place {
 }
 
 impl Place {
-    /// One coordinate, not yet turned.
+    /// Places one coordinate, without the turn.
     pub fn local(&self, c: f64) -> f32 {
         (c * self.scale + self.shift) as f32
     }
 
-    /// A point, not yet turned.
+    /// Places a point, without the turn.
     pub fn point(&self, p: [f64; 3]) -> Vec3 {
         p.map(|c| self.local(c)).into()
     }
@@ -155,7 +156,7 @@ impl Place {
         (self.turn * p.as_dvec3()).as_vec3()
     }
 
-    /// A polygon of a query. One that is turned is flat but for the rounding of doubles.
+    /// Places a polygon of a query. A turned polygon is flat up to the rounding of doubles.
     pub fn polygon(&self, corners: &[[f64; 3]]) -> Vec<DVec3> {
         corners
             .iter()
@@ -163,7 +164,7 @@ impl Place {
             .collect()
     }
 
-    /// A rectangle of a query, in a plane z.
+    /// Places a rectangle of a query in a plane z.
     pub fn rectangle(&self, z: f64, x: [f64; 2], y: [f64; 2]) -> Vec<DVec3> {
         self.polygon(&[
             [x[0], y[0], z],
@@ -173,13 +174,13 @@ impl Place {
         ])
     }
 
-    /// A square of a query, in a plane z.
+    /// Places a square of a query in a plane z.
     pub fn square(&self, [x, y, z]: [f64; 3], half: f64) -> Vec<DVec3> {
         self.rectangle(z, [x - half, x + half], [y - half, y + half])
     }
 }
 
-/// Permutations of the axes with flips, some of which mirror.
+/// Returns permutations of the axes with flips, some of which mirror.
 pub fn permutations() -> Vec<DMat3> {
     let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z];
     [[x, y, z], [y, z, x], [z, -y, x], [-x, -z, -y]]
@@ -201,13 +202,13 @@ fn places(scales: &[f64], shifts: &[f64], turns: &[DMat3]) -> Vec<Place> {
     out
 }
 
-/// Places that keep multiples of small powers of two as they are.
+/// Returns places that do not round multiples of small powers of two.
 pub fn exact() -> Vec<Place> {
     let scales = [-60, -20, 0, 20, 60].map(|e| 2f64.powi(e));
     places(&scales, &[0.0], &permutations())
 }
 
-/// Places that keep the order of coordinates, and equal ones equal.
+/// Returns places that keep the order of coordinates, and equal coordinates equal.
 pub fn ordered() -> Vec<Place> {
     places(
         &[1e-30, 1e-6, 1.0, 1e6, 1e30],
@@ -216,7 +217,7 @@ pub fn ordered() -> Vec<Place> {
     )
 }
 
-/// Places where all is rounded.
+/// Returns places that round all coordinates.
 pub fn rounded() -> Vec<Place> {
     let turns = [(0.3, 0.7, -0.2), (2.1, -1.0, 0.5), (-0.9, 0.1, 3.0)].map(|(x, y, z)| {
         let turn =
@@ -226,10 +227,10 @@ pub fn rounded() -> Vec<Place> {
     places(&[1e-6, 1.0, 1e6], &[0.0, 10.0], &turns)
 }
 
-/// A scene being built in a place.
+/// A scene during its construction in a place.
 pub struct Draft<'a> {
     pub place: &'a Place,
-    /// Not yet turned.
+    /// The triangles, without the turn.
     pub triangles: Vec<Corners>,
 }
 
@@ -253,7 +254,7 @@ impl<'a> Draft<'a> {
         self.triangles.extend([[a, b, c], [a, c, d]]);
     }
 
-    /// A rectangle in a plane z.
+    /// Adds a rectangle in a plane z.
     pub fn rectangle(&mut self, z: f64, x: [f64; 2], y: [f64; 2]) {
         self.placed(
             z,
@@ -262,14 +263,15 @@ impl<'a> Draft<'a> {
         );
     }
 
-    /// A rectangle in a plane z, whose sides are placed already.
+    /// Adds a rectangle in a plane z whose sides are already placed.
     pub fn placed(&mut self, z: f64, x: [f32; 2], y: [f32; 2]) {
         let z = self.place.local(z);
         let corner = |i: usize, j: usize| Vec3::new(x[i], y[j], z);
         self.placed_quad([corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)]);
     }
 
-    /// A wall in a plane z with a window, of four pieces that overlap, reaching as far as `reach`.
+    /// Adds a wall in a plane z with a window. The wall has four pieces that overlap, and it reaches as far
+    /// as `reach`.
     pub fn window(&mut self, z: f64, reach: f64, x: [f64; 2], y: [f64; 2]) {
         self.placed_window(
             z,
@@ -279,7 +281,7 @@ impl<'a> Draft<'a> {
         );
     }
 
-    /// The same, with the window's sides placed already.
+    /// Adds a wall with a window like [`Draft::window`], but with the window's sides already placed.
     pub fn placed_window(&mut self, z: f64, reach: f64, x: [f32; 2], y: [f32; 2]) {
         let [lo, hi] = [-reach, reach].map(|c| self.place.local(c));
         self.placed(z, [lo, x[0]], [lo, hi]);
@@ -288,7 +290,7 @@ impl<'a> Draft<'a> {
         self.placed(z, [lo, hi], [y[1], hi]);
     }
 
-    /// The box between two corners, of twelve triangles that share their corners.
+    /// Adds the box between two corners, of twelve triangles that share their corners.
     pub fn solid(&mut self, lo: [f64; 3], hi: [f64; 3]) {
         let corner = |i: usize| -> [f64; 3] {
             std::array::from_fn(|k| if i >> k & 1 == 1 { hi[k] } else { lo[k] })
@@ -305,8 +307,9 @@ impl<'a> Draft<'a> {
         }
     }
 
-    /// An icosahedron whose faces were divided by four `levels` times, corners on the sphere, turned
-    /// outwards.
+    /// Adds an icosahedron whose faces are divided by four `levels` times, with the corners on the sphere.
+    ///
+    /// The triangles are turned outwards.
     pub fn sphere(&mut self, centre: [f64; 3], radius: f64, levels: u32) {
         let g = (1.0 + 5f64.sqrt()) / 2.0;
         let corners: Vec<DVec3> = [[0.0, 1.0, g], [1.0, g, 0.0], [g, 0.0, 1.0]]
@@ -332,7 +335,7 @@ impl<'a> Draft<'a> {
             .map(DVec3::normalize)
             .collect();
         assert_eq!(corners.len(), 12);
-        // Neighbours are the nearest ones.
+        // Neighbours are the nearest corners.
         let near = |p: DVec3, q: DVec3| p.dot(q) > 0.4;
         let mut faces = Vec::new();
         for i in 0..12 {
@@ -371,7 +374,7 @@ impl<'a> Draft<'a> {
     }
 }
 
-/// Random numbers and directions.
+/// A source of random numbers and directions.
 pub struct Random(SplitMix64);
 
 impl Random {
@@ -379,7 +382,7 @@ impl Random {
         Self(SplitMix64::new(seed))
     }
 
-    /// In [0, 1).
+    /// Returns a number in [0, 1).
     pub fn unit(&mut self) -> f64 {
         self.0.unit_f64()
     }
@@ -388,12 +391,12 @@ impl Random {
         lo + (hi - lo) * self.unit()
     }
 
-    /// One of the numbers below `n`.
+    /// Returns one of the numbers below `n`.
     pub fn below(&mut self, n: usize) -> usize {
         (self.0.bits() % n as u64) as usize
     }
 
-    /// On the unit sphere.
+    /// Returns a point on the unit sphere.
     pub fn direction(&mut self) -> DVec3 {
         loop {
             let p = DVec3::from([0; 3].map(|_| self.between(-1.0, 1.0)));

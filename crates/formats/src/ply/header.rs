@@ -1,23 +1,23 @@
-//! The header of a PLY file: its format, and the elements with their counts and properties.
+//! The header of a PLY file: the format of the file, and the elements with their counts and properties.
 
-/// A header that cannot be read: the number of the line, from 1, and the fault.
+/// The fault of a header that cannot be read, with its line. Lines are numbered from 1.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("header line {line}: {reason}")]
 pub struct HeaderFault {
-    /// The line.
+    /// The number of the line, from 1.
     pub line: usize,
-    /// The fault.
+    /// A description of the fault.
     pub reason: String,
 }
 
-/// The encoding of the values behind the header.
+/// The encoding of the values after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Text.
+    /// Numbers as text.
     Ascii,
-    /// Bytes, the least significant one first.
+    /// Numbers as bytes, the least significant byte first.
     BinaryLittle,
-    /// Bytes, the most significant one first.
+    /// Numbers as bytes, the most significant byte first.
     BinaryBig,
 }
 
@@ -43,7 +43,8 @@ pub enum NumberKind {
 }
 
 impl NumberKind {
-    /// Both families of names are in use: C's and those with the size in bits.
+    /// Returns the type with the name `word`. PLY files use two families of names: the names of C types, and
+    /// names with the size in bits.
     fn from_word(word: &str) -> Option<Self> {
         Some(match word {
             "char" | "int8" => Self::I8,
@@ -58,7 +59,7 @@ impl NumberKind {
         })
     }
 
-    /// Bytes in a binary file.
+    /// Returns the size of a number of this type in a binary file, in bytes.
     pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -73,59 +74,59 @@ impl NumberKind {
     }
 }
 
-/// One property of an element: a number, or a list of them.
+/// A property of an element: a number, or a list of numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Property {
-    /// The name, cut to 64 characters.
+    /// The name of the property, truncated to 64 characters.
     pub name: String,
-    /// Type of the number, or of the values of the list.
+    /// The type of the number, or of the values of the list.
     pub kind: NumberKind,
-    /// Type of the list's length, for a list.
+    /// The type of the list's length; `None` for a single number.
     pub list: Option<NumberKind>,
 }
 
-/// An element and the count that the header announces, which is not trusted.
+/// An element of a PLY file, such as `vertex`: a list of records with the same properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Element {
-    /// The name, cut to 64 characters.
+    /// The name of the element, truncated to 64 characters.
     pub name: String,
-    /// The announced count.
+    /// The number of records that the header announces. Readers must not trust this number.
     pub count: u64,
-    /// The properties, in the order of their values.
+    /// The properties, in the order of their values in a record.
     pub properties: Vec<Property>,
 }
 
-/// The whole header.
+/// The contents of a header.
 #[derive(Debug)]
 pub struct Header {
     /// The encoding of the body.
     pub format: Format,
     /// The elements, in the order of the body.
     pub elements: Vec<Element>,
-    /// Offset of the first byte after it.
+    /// The offset in the file of the first byte after the header.
     pub body: usize,
-    /// Number of its lines.
+    /// The number of lines of the header.
     pub lines: usize,
 }
 
 /// Reads the header at the beginning of a file.
 ///
 /// # Errors
-/// [`HeaderFault`] with the line at fault.
+/// [`HeaderFault`] with the line that contains the fault.
 pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut at = 0;
     let mut line = 0usize;
     loop {
-        // At most one line a byte, so this cannot overflow.
+        // There is at most one line per byte, so this cannot overflow.
         line += 1;
         let bad = |reason: String| HeaderFault { line, reason };
         let rest = bytes.get(at..).unwrap_or_default();
         let Some(len) = rest.iter().position(|b| *b == b'\n' || *b == b'\r') else {
-            return Err(bad("the file ends before end_header".to_owned()));
+            return Err(bad("the file ends before the line end_header".to_owned()));
         };
-        // A line ends with \n, \r\n or, from old machines, \r.
+        // A line ends with \n, \r\n, or \r in files from old machines.
         at += len
             + if rest[len..].starts_with(b"\r\n") {
                 2
@@ -146,9 +147,12 @@ pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
                 });
             }
             ["element", name, count] => {
-                let count = count
-                    .parse()
-                    .map_err(|_| bad(format!("the count {} is no number", short(count))))?;
+                let count = count.parse().map_err(|_| {
+                    bad(format!(
+                        "the count \"{}\" is not a whole number",
+                        short(count)
+                    ))
+                })?;
                 if elements.iter().any(|e| e.name == *name) {
                     return Err(bad(format!("the element {} appears twice", short(name))));
                 }
@@ -159,9 +163,9 @@ pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
                 });
             }
             ["property", words @ ..] => {
-                let element = elements
-                    .last_mut()
-                    .ok_or_else(|| bad("a property before any element".to_owned()))?;
+                let element = elements.last_mut().ok_or_else(|| {
+                    bad("a property line precedes the first element line".to_owned())
+                })?;
                 let kind_of = |word: &str| {
                     NumberKind::from_word(word)
                         .ok_or_else(|| bad(format!("the type {} is unknown", short(word))))
@@ -171,7 +175,7 @@ pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
                         let len = kind_of(len)?;
                         if len.is_float() {
                             return Err(bad(
-                                "the length of a list must be an integer type".to_owned()
+                                "the type of a list's length must be an integer type".to_owned()
                             ));
                         }
                         Property {
@@ -187,13 +191,14 @@ pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
                     },
                     _ => {
                         return Err(bad(
-                            "the property is not written as the format asks".to_owned()
+                            "a property line must be `TYPE NAME` or `list TYPE TYPE NAME`"
+                                .to_owned(),
                         ));
                     }
                 });
             }
             ["end_header"] => {
-                let format = format.ok_or_else(|| bad("there is no format line".to_owned()))?;
+                let format = format.ok_or_else(|| bad("the format line is missing".to_owned()))?;
                 return Ok(Header {
                     format,
                     elements,
@@ -201,13 +206,18 @@ pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
                     lines: line,
                 });
             }
-            _ => return Err(bad(format!("\"{}\" is not understood", short(&text)))),
+            _ => {
+                return Err(bad(format!(
+                    "\"{}\" is not a valid PLY header line",
+                    short(&text)
+                )));
+            }
         }
     }
 }
 
-/// The beginning of a word from the file: names are compared and shown, and no name that is looked for is
-/// longer.
+/// Returns the first 64 characters of `word`. The program only compares and prints names, and no known name
+/// is longer.
 fn short(word: &str) -> String {
     word.chars().take(64).collect()
 }

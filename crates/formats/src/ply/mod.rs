@@ -1,7 +1,7 @@
-//! Stanford PLY: its header, and the numbers behind it as text or as bytes of either order.
+//! Stanford PLY: the header, and the numbers after the header as text or as bytes of either order.
 //!
-//! The header announces elements, their counts and the types of their properties; the body holds the numbers
-//! one after another. Nothing here trusts a count.
+//! The header announces elements, their counts and the types of their properties. The body contains the
+//! numbers one after another. No code in this module trusts a count.
 
 mod header;
 mod value;

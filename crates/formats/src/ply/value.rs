@@ -1,42 +1,43 @@
-//! Numbers one after another from the body of a PLY file, as text or as bytes of either order.
+//! Streams of the numbers in the body of a PLY file, as text or as bytes of either order.
 
 use super::header::{NumberKind, Property};
 
-/// A stream of numbers. Every read returns `None` when the next number is missing or malformed;
-/// [`Values::why`] then says which.
+/// A stream of numbers. Every read returns `None` if the next number is missing or malformed; [`Values::why`]
+/// then describes the fault.
 pub trait Values {
-    /// The next number, rounded to `f32`.
+    /// Reads the next number, rounded to `f32`.
     fn float(&mut self, kind: NumberKind) -> Option<f32>;
-    /// The next number, which must be an integer.
+    /// Reads the next number, which must be an integer.
     fn integer(&mut self, kind: NumberKind) -> Option<i64>;
-    /// Steps over `n` numbers.
+    /// Skips `n` numbers.
     fn skip(&mut self, kind: NumberKind, n: usize) -> Option<()>;
-    /// Bytes not read yet.
+    /// Returns the number of bytes that are not read yet.
     fn left(&self) -> usize;
-    /// The least number of bytes one number takes.
+    /// Returns the minimum size of a number of type `kind`, in bytes.
     fn least_value_bytes(&self, kind: NumberKind) -> u64;
-    /// The least number of bytes a property takes: a list may be empty, but not its length.
+    /// Returns the minimum size of a property, in bytes. A list may be empty, but its length needs space.
     fn least_bytes(&self, p: &Property) -> u64 {
         self.least_value_bytes(p.list.unwrap_or(p.kind))
     }
-    /// Whether anything but padding is left.
+    /// Returns true if unread bytes other than white space and zeros are left.
     fn has_rest(&self) -> bool;
-    /// Why the last read failed.
+    /// Returns a description of the fault of the last read, which must have failed.
     fn why(&self) -> String;
 }
 
-/// Numbers as text, separated by white space.
+/// A stream of numbers as text, separated by white space.
 pub struct Ascii<'a> {
     body: &'a [u8],
+    /// The offset in `body` of the first unread byte.
     at: usize,
-    /// Where the last token began.
+    /// The offset in `body` of the token that was read last.
     token: usize,
-    /// Lines before the body.
+    /// The number of lines of the file before the body.
     lines: usize,
 }
 
 impl<'a> Ascii<'a> {
-    /// Over `body`, which comes after `lines` lines.
+    /// Creates a stream over `body`, which follows `lines` lines of the file.
     pub fn new(body: &'a [u8], lines: usize) -> Self {
         Self {
             body,
@@ -86,7 +87,7 @@ impl Values for Ascii<'_> {
     }
 
     fn least_value_bytes(&self, _: NumberKind) -> u64 {
-        // A digit and the space after it; callers allow for the last number having none.
+        // A number needs a digit and a space. Callers allow for the last number, which has no space.
         2
     }
 
@@ -105,24 +106,24 @@ impl Values for Ascii<'_> {
                 .count();
         let token = &self.body[self.token..self.at.min(self.token + 40)];
         if token.is_empty() {
-            "the file ends before it".to_owned()
+            "the file ends before this value".to_owned()
         } else {
             format!(
-                "\"{}\" (line {line}) is not a number of its type",
+                "\"{}\" (line {line}) is not a number of the property's type",
                 String::from_utf8_lossy(token)
             )
         }
     }
 }
 
-/// Numbers as bytes.
+/// A stream of numbers as bytes.
 pub struct Binary<'a> {
     rest: &'a [u8],
     big: bool,
 }
 
 impl<'a> Binary<'a> {
-    /// Over `body`; `big` says that the most significant byte comes first.
+    /// Creates a stream over `body`. If `big` is true, the most significant byte comes first.
     pub fn new(body: &'a [u8], big: bool) -> Self {
         Self { rest: body, big }
     }
@@ -142,7 +143,7 @@ impl Values for Binary<'_> {
     fn float(&mut self, kind: NumberKind) -> Option<f32> {
         Some(match kind {
             NumberKind::F32 => f32::from_le_bytes(self.bytes()?),
-            // Out of range becomes infinite, which the caller refuses.
+            // A number out of range becomes infinite, which the caller rejects.
             NumberKind::F64 => f64::from_le_bytes(self.bytes()?) as f32,
             _ => self.integer(kind)? as f32,
         })
@@ -182,15 +183,15 @@ impl Values for Binary<'_> {
 
     fn why(&self) -> String {
         if self.rest.len() < 8 {
-            "the file ends before it".to_owned()
+            "the file ends before this value, or the value is not a whole number".to_owned()
         } else {
-            "it is not a whole number".to_owned()
+            "the value is not a whole number".to_owned()
         }
     }
 }
 
-/// `x` as an integer when it is one.
+/// Returns `x` as an integer, or `None` if `x` is not an integer of magnitude at most 2⁵³.
 fn whole(x: f64) -> Option<i64> {
-    // Up to 2⁵³ every integer is a distinct double.
+    // Every integer up to 2⁵³ is a distinct double.
     (x.fract() == 0.0 && x.abs() <= 9_007_199_254_740_992.0).then_some(x as i64)
 }

@@ -1,5 +1,5 @@
-//! The bounds of the filters in `f64`: points that need the whole bound, decisions of clear cases, and the
-//! exact stages behind them.
+//! Tests of the bounds of the filters in `f64`: points that need the whole bound, decisions of clear cases,
+//! and the exact stages behind the filters.
 
 use proptest::prelude::*;
 
@@ -34,8 +34,10 @@ const WORST_3D: [[f32; 3]; 4] = [
     [-1.0300967, 1.2427775e-09, 1.0124049],
 ];
 
-/// The worst case of two dimensions: all six differences and one product lose almost u, in the directions
-/// that add up. An annealing search over the low bits of such points found these.
+/// Uses the worst case in two dimensions.
+///
+/// All six differences and one product lose almost u, in the directions that add up. An annealing search over
+/// the low bits of such points found these points.
 #[test]
 fn half_bound_of_orient2d_gives_wrong_sign() {
     let points = WORST_2D;
@@ -51,7 +53,7 @@ fn half_bound_of_orient2d_gives_wrong_sign() {
     );
 }
 
-/// The worst case of three dimensions, found in the same way: the determinant is −0.0005u in integers.
+/// Uses the worst case in three dimensions, found in the same way: the determinant is −0.0005u in integers.
 #[test]
 fn half_bound_of_orient3d_gives_wrong_sign() {
     let [a, b, c, p] = WORST_3D.map(Vec3::from);
@@ -63,7 +65,8 @@ fn half_bound_of_orient3d_gives_wrong_sign() {
     assert_eq!(orient3d_sign(a, b, c, p), Ordering::Less);
 }
 
-/// Coordinates as integers times a power of two, so that determinants are integers.
+/// Generates coordinates as integers, which the tests scale by a power of two, so that determinants are
+/// integers.
 fn wide() -> impl Strategy<Value = [[i64; 3]; 4]> {
     let near = -3i64..4;
     let any = -(1i64 << 22)..1 << 22;
@@ -72,7 +75,7 @@ fn wide() -> impl Strategy<Value = [[i64; 3]; 4]> {
 }
 
 proptest! {
-    /// A filter that always left the sign open would be slow and would pass every other test.
+    /// A filter that never decided a sign would be slow but would pass every other test.
     #[test]
     fn filters_decide_clear_signs(p in wide(), e in -60i32..60) {
         let v = p.map(|q| q.map(|c| c as f32 * 2f32.powi(e)));
@@ -94,15 +97,17 @@ proptest! {
             let (det, magnitude) = minor(i, j);
             (det * d(3, k), magnitude * d(3, k).abs())
         });
-        let (det, magnitude) = terms.iter().fold((0, 0), |(x, y), (det, of)| (x + det, y + of));
+        let (det, magnitude) = terms.iter().fold((0, 0), |(x, y), (det, size)| (x + det, y + size));
         let [a, b, c, q] = v.map(Vec3::from);
         let sign = orient3d_filtered(a, b, c, q);
         prop_assert!(sign.is_none_or(|s| s == det.cmp(&0)));
         prop_assert!(sign.is_some() || !clear(det, magnitude), "{det} of {magnitude}");
     }
 
-    /// `b` and `p` are opposite or in one direction, and `a` is 2³⁰ times nearer to the origin, almost on the
-    /// same line: then all differences round, and most signs need the expansion.
+    /// Uses points that are almost on one line.
+    ///
+    /// `b` and `p` are opposite or in one direction, and `a` is 2³⁰ times nearer to the origin. Then all
+    /// differences round, and most signs need the expansion.
     #[test]
     fn nearly_collinear_points_agree_with_integers(
         b in prop::array::uniform2(1i64 << 22..1 << 23), a in -(1i64 << 24) + 8..(1 << 24) - 8,
@@ -120,8 +125,8 @@ proptest! {
         prop_assert_eq!(orient2d_sign(v[0], v[1], v[2]), det.cmp(&0));
     }
 
-    /// As above in a plane: opposite or mixed points of which one is 2³⁰ times nearer to the origin, against
-    /// exact sums, which need no differences.
+    /// The points are nearly in one plane, opposite or mixed, and one is 2³⁰ times nearer to the origin. The
+    /// test compares with exact sums, which need no differences.
     #[test]
     fn nearly_coplanar_points_agree_with_exact_sums(
         b in prop::array::uniform3(-(1i64 << 22)..1 << 22),
@@ -143,8 +148,10 @@ proptest! {
         prop_assert_eq!(orient3d_sign(v[0], v[2], v[1], v[3]), sum.sign().reverse());
     }
 
-    /// Determinants of a few units whose terms have up to 72 bits: (b − a) · (c − b) × (p − b) with the last
-    /// two differences small and the first across both, up to `off`.
+    /// Uses determinants of a few units whose terms have up to 72 bits.
+    ///
+    /// The determinants are (b − a) · (c − b) × (p − b). The last two differences are small, and the first is
+    /// perpendicular to both, up to `off`.
     #[test]
     fn expansion_keeps_every_bit(
         b in prop::array::uniform3(-(1i64 << 22)..1 << 22),
@@ -168,7 +175,7 @@ proptest! {
         prop_assert_eq!(orient3d_sign(a, b, c, p), truth);
     }
 
-    /// The common point of a line and a plane is rational; its place in the triangle has integer signs.
+    /// The common point of a line and a plane is rational; its position in the triangle has integer signs.
     #[test]
     fn crossings_agree_with_rational_points(p in prop::array::uniform5(prop::array::uniform3(-3i64..4))) {
         let sub = |x: [i64; 3], y: [i64; 3]| -> [i64; 3] { std::array::from_fn(|k| x[k] - y[k]) };
@@ -186,7 +193,7 @@ proptest! {
             Crossing::Not
         } else {
             let [h, g] = heights.map(i64::abs);
-            // The common point times h + g.
+            // The common point, multiplied by h + g.
             let x: [i64; 3] = std::array::from_fn(|k| from[k] * g + to[k] * h);
             let scaled = |q: [i64; 3]| q.map(|c| c * (h + g));
             let sides = [(a, b), (b, c), (c, a)]

@@ -1,4 +1,4 @@
-//! Ambient occlusion: the receivers that a job asks about, and the openness that is the answer.
+//! Ambient occlusion: the receivers of a job, and their openness, which is the job's answer.
 
 pub mod openness;
 pub mod receivers;

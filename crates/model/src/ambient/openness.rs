@@ -1,50 +1,52 @@
-//! The answers of a job of ambient occlusion as bytes: of a tile, as its worker sends them, and of the whole
-//! job, as the coordinator puts them together. `docs/formats/ambient.md` has the layout of the result.
+//! The encoding of the openness values and form factors that a job of ambient occlusion computes.
+//!
+//! A worker encodes the values of a tile, and the coordinator joins the values of all tiles to the job's
+//! result. `docs/formats/ambient.md` describes the layout of the result.
 
 use std::io::{Read as _, Write};
 
 use sightline_numbers::varint;
 
-/// The first byte of a tile's output; outputs of tiles with cells begin with others.
+/// The first byte of a tile's output, before compression. Outputs with view cells begin with other bytes.
 const KIND: u8 = b'A';
-/// The first bytes of a result: its name and the version of the layout.
+/// The first bytes of a result: the format's name and the version of the layout.
 const MAGIC: &[u8; 8] = b"SLOPEN01";
-/// Compression level of a tile's output. Floats hold no long matches.
+/// The zstd level of a tile's output. Floats contain no long matches, so higher levels save few bytes.
 const LEVEL: i32 = 1;
-/// Most numbers of a receiver: its openness and the form factors of 64 lights.
+/// Maximum number of values per receiver: the openness and the form factors of 64 lights.
 const MOST_NUMBERS: u32 = 65;
-/// Bytes of a result before its numbers, and after them.
+/// The sum of the 16 bytes before the receivers' values and the 16 bytes after them.
 const AROUND: usize = 16 + 16;
 
-/// Answers that cannot be read.
+/// The error of bytes that are not encoded openness values; the text is the reason.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the openness of receivers cannot be read: {0}; it was damaged or written by another version"
+    "the openness of receivers cannot be read: {0}; the bytes are damaged, or another version wrote them"
 )]
 pub struct OpennessError(&'static str);
 
-/// The answers of some receivers.
+/// The openness and the form factors of several receivers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Openness {
-    /// Numbers of each receiver: its openness, then the form factor of each light. At least 1.
+    /// The number of values per receiver: the openness, then the form factor of each light. At least 1.
     pub numbers: u32,
-    /// The numbers of all receivers, 0 to 1. In a result not a number where a tile was given up.
+    /// The values of all receivers, 0 to 1. In a result, the values of tiles that were set aside or are not
+    /// done are NaN.
     pub values: Vec<f32>,
-    /// The largest bound on what rounding can have changed, before the values were rounded to single
-    /// precision.
+    /// An upper bound on the error of every value, before its rounding to single precision.
     pub bound: f64,
 }
 
 impl Openness {
-    /// Number of receivers.
+    /// Returns the number of receivers.
     pub fn points(&self) -> usize {
         self.values.len() / self.numbers.max(1) as usize
     }
 
-    /// A tile's output.
+    /// Encodes the values as a tile's output.
     ///
     /// # Errors
-    /// When compression fails.
+    /// [`std::io::Error`] if compression fails.
     pub fn encode(&self) -> Result<Vec<u8>, std::io::Error> {
         let mut raw = vec![KIND];
         varint::write(&mut raw, self.numbers.into());
@@ -56,40 +58,40 @@ impl Openness {
         zstd::stream::encode_all(raw.as_slice(), LEVEL)
     }
 
-    /// Reads a tile's output, which must be of so many receivers with so many numbers each.
+    /// Decodes a tile's output, which must have `points` receivers with `numbers` values each.
     ///
     /// # Errors
-    /// [`OpennessError`] saying what is wrong.
+    /// [`OpennessError`] with the first difference from such an output.
     pub fn decode(bytes: &[u8], points: u32, numbers: u32) -> Result<Self, OpennessError> {
         let head = 1 + 2 * varint::MOST_BYTES as usize + 8;
         let values = (points as usize).saturating_mul(numbers as usize);
         let most = values.saturating_mul(4).saturating_add(head) as u64;
-        let bad = |_| OpennessError("it is not zstd data");
+        let bad = |_| OpennessError("the bytes are not zstd data");
         let unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
         let mut raw = Vec::new();
-        // What unpacks to more is not unpacked further.
+        // Bytes that unpack to more than the tile's output are not unpacked further.
         unpacked.take(most + 1).read_to_end(&mut raw).map_err(bad)?;
-        let cut = |_| OpennessError("it is cut short");
+        let cut = |_| OpennessError("the bytes are cut short");
         let Some((&KIND, mut rest)) = raw.split_first() else {
-            return Err(OpennessError("it is not the openness of receivers"));
+            return Err(OpennessError("the first unpacked byte is not the letter A"));
         };
         let has = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
         let stored_points = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
         if (has, stored_points) != (numbers.into(), points.into()) {
             return Err(OpennessError(
-                "it is of other receivers than the tile's, or of other lights",
+                "the number of receivers or lights differs from the tile's",
             ));
         }
         let (bound, rest) = rest
             .split_first_chunk()
-            .ok_or(OpennessError("it is cut short"))?;
+            .ok_or(OpennessError("the bytes are cut short"))?;
         let bound = f64::from_le_bytes(*bound);
         if !(bound >= 0.0 && bound.is_finite()) {
-            return Err(OpennessError("its bound is none"));
+            return Err(OpennessError("the error bound is negative or not finite"));
         }
         let values = floats(rest, values)?;
         if !values.iter().all(|value| (0.0..=1.0).contains(value)) {
-            return Err(OpennessError("a number of it is not between 0 and 1"));
+            return Err(OpennessError("a value is not between 0 and 1"));
         }
         Ok(Self {
             numbers,
@@ -98,22 +100,24 @@ impl Openness {
         })
     }
 
-    /// Reads the result of a job.
+    /// Decodes the result of a job.
     ///
     /// # Errors
-    /// [`OpennessError`] saying what is wrong.
+    /// [`OpennessError`] with the first difference from a result.
     pub fn of_result(bytes: &[u8]) -> Result<Self, OpennessError> {
-        let cut = OpennessError("it is cut short");
+        let cut = OpennessError("the bytes are cut short");
         let rest = bytes
             .strip_prefix(MAGIC)
-            .ok_or(OpennessError("it does not begin as a result does"))?;
+            .ok_or(OpennessError("the first 8 bytes are not SLOPEN01"))?;
         let ([a, b, c, d, e, f, g, h], rest) = rest.split_first_chunk().ok_or(cut.clone())?;
         let (numbers, points) = (
             u32::from_le_bytes([*a, *b, *c, *d]),
             u32::from_le_bytes([*e, *f, *g, *h]),
         );
         if !(1..=MOST_NUMBERS).contains(&numbers) {
-            return Err(OpennessError("it has another number of lights than can be"));
+            return Err(OpennessError(
+                "the number of values per receiver is not between 1 and 65",
+            ));
         }
         let (values, end) = rest.split_last_chunk::<16>().ok_or(cut)?;
         let (bound, missing) = end.split_at(8);
@@ -128,17 +132,22 @@ impl Openness {
             values,
             bound,
         };
+        if !(bound >= 0.0 && bound.is_finite()) {
+            return Err(OpennessError("the error bound is negative or not finite"));
+        }
         let is_right = |value: &f32| value.is_nan() || (0.0..=1.0).contains(value);
-        if !(openness.values.iter().all(is_right) && bound >= 0.0 && bound.is_finite()) {
-            return Err(OpennessError("a number of it is not between 0 and 1"));
+        if !openness.values.iter().all(is_right) {
+            return Err(OpennessError("a value is not between 0 and 1"));
         }
         if openness.missing() != missing {
-            return Err(OpennessError("other receivers have no answer than it says"));
+            return Err(OpennessError(
+                "the stated number of receivers without values is wrong",
+            ));
         }
         Ok(openness)
     }
 
-    /// Receivers without an answer, because their tile was given up or is not done.
+    /// Returns the number of receivers without values, because their tile was set aside or is not done.
     pub fn missing(&self) -> u64 {
         self.values
             .chunks(self.numbers.max(1) as usize)
@@ -147,11 +156,11 @@ impl Openness {
     }
 }
 
-/// As many little-endian floats as are expected, and nothing else.
+/// Decodes `count` little-endian floats, which must be all of `bytes`.
 fn floats(bytes: &[u8], count: usize) -> Result<Vec<f32>, OpennessError> {
     if Some(bytes.len()) != count.checked_mul(4) {
         return Err(OpennessError(
-            "it has another number of numbers than it announces",
+            "the number of values differs from the stated number",
         ));
     }
     Ok(bytes
@@ -160,7 +169,7 @@ fn floats(bytes: &[u8], count: usize) -> Result<Vec<f32>, OpennessError> {
         .collect())
 }
 
-/// Writes the result of a job, tile by tile.
+/// A writer of the result of a job, tile by tile.
 pub struct ResultWriter<'a, W: Write> {
     out: &'a mut W,
     numbers: u32,
@@ -170,10 +179,10 @@ pub struct ResultWriter<'a, W: Write> {
 }
 
 impl<'a, W: Write> ResultWriter<'a, W> {
-    /// Begins the result of so many receivers with so many numbers each.
+    /// Starts the result of `points` receivers with `numbers` values each.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// [`std::io::Error`] if the writer fails.
     pub fn begin(out: &'a mut W, points: u32, numbers: u32) -> Result<Self, std::io::Error> {
         out.write_all(MAGIC)?;
         out.write_all(&numbers.to_le_bytes())?;
@@ -187,19 +196,19 @@ impl<'a, W: Write> ResultWriter<'a, W> {
         })
     }
 
-    /// Writes the answers of the next tile.
+    /// Writes the values of the next tile.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// [`std::io::Error`] if the writer fails.
     pub fn push(&mut self, tile: &Openness) -> Result<(), std::io::Error> {
         self.bound = self.bound.max(tile.bound);
         self.put(&tile.values)
     }
 
-    /// Writes that the next tile, of so many receivers, has no answers.
+    /// Writes NaN for all values of the next tile, which has `points` receivers and no output.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// [`std::io::Error`] if the writer fails.
     pub fn push_missing(&mut self, points: u32) -> Result<(), std::io::Error> {
         self.missing += u64::from(points);
         self.put(&vec![f32::NAN; points as usize * self.numbers as usize])
@@ -214,10 +223,10 @@ impl<'a, W: Write> ResultWriter<'a, W> {
         self.out.write_all(&bytes)
     }
 
-    /// Ends the result; gives its length in bytes.
+    /// Ends the result and returns its length in bytes.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// [`std::io::Error`] if the writer fails.
     pub fn end(self) -> Result<u64, std::io::Error> {
         self.out.write_all(&self.bound.to_le_bytes())?;
         self.out.write_all(&self.missing.to_le_bytes())?;
@@ -243,14 +252,14 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_comes_back_and_another_one_is_refused() {
+    fn tile_round_trips_and_foreign_tile_is_rejected() {
         for (points, numbers) in [(0, 1), (1, 1), (5, 3)] {
             let tile = openness(points, numbers);
             let bytes = tile.encode().unwrap();
             assert_eq!(Openness::decode(&bytes, points, numbers).unwrap(), tile);
             assert!(Openness::decode(&bytes, points + 1, numbers).is_err());
             assert!(Openness::decode(&bytes, points, numbers + 1).is_err());
-            // Cells are not taken for it, nor it for cells.
+            // The decoder of cells rejects openness, and the decoder of openness rejects cells.
             assert!(crate::codec::decode(&bytes, 9).is_err());
         }
         let wrong = |change: &dyn Fn(&mut Openness)| {
@@ -264,13 +273,13 @@ mod tests {
             assert!(wrong(&|tile| tile.values[3] = value).contains("between 0 and 1"));
         }
         assert!(wrong(&|tile| tile.bound = f64::NAN).contains("bound"));
-        assert!(wrong(&|tile| tile.values.push(0.5)).contains("announces"));
+        assert!(wrong(&|tile| tile.values.push(0.5)).contains("the stated number"));
         let bomb = zstd::stream::encode_all(&vec![KIND; 1 << 20][..], LEVEL).unwrap();
         assert!(Openness::decode(&bomb, 4, 2).is_err());
     }
 
     #[test]
-    fn a_result_is_its_tiles_one_after_the_other() {
+    fn result_is_concatenation_of_tiles() {
         let (first, last) = (
             openness(3, 2),
             Openness {
@@ -288,7 +297,7 @@ mod tests {
         assert_eq!((whole.points(), whole.missing(), whole.bound), (6, 2, 1e-9));
         assert_eq!(whole.values[..6], first.values);
         assert_eq!(whole.values[10..], last.values);
-        // A tile is missing, or one too many is there.
+        // One tile too few, and one tile too many.
         assert!(Openness::of_result(&bytes[..bytes.len() - 1]).is_err());
         assert!(Openness::of_result(&[&bytes[..16], &bytes[24..]].concat()).is_err());
         let miscounted = [&bytes[..bytes.len() - 8], &1u64.to_le_bytes()].concat();
@@ -296,13 +305,13 @@ mod tests {
             Openness::of_result(&miscounted)
                 .unwrap_err()
                 .to_string()
-                .contains("no answer")
+                .contains("without values")
         );
     }
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_or_refused(
+        fn arbitrary_bytes_do_not_crash_result_decoder(
             bytes in proptest::collection::vec(any::<u8>(), 0..100),
             at in any::<proptest::sample::Index>(),
             bits in 1..=255u8,

@@ -1,85 +1,91 @@
-//! The receivers of a job of ambient occlusion as bytes: the points whose openness a job computes, in
-//! blocks, and the settings of the computation. The client writes them, the coordinator checks them, and
-//! workers read them.
+//! The encoding of the receivers of a job of ambient occlusion.
 //!
-//! `docs/formats/ambient.md` has the layout. A decoder checks every count against the
-//! remaining bytes before it allocates for them.
+//! Receivers are the points whose openness a job computes, in blocks, with the settings of the computation.
+//! The client writes them, the coordinator checks them, and workers read them.
+//!
+//! `docs/formats/ambient.md` describes the layout. A decoder checks every count against the remaining bytes
+//! before it allocates memory for the counted values.
 
 use sightline_geometry::convex::Convex;
+use sightline_numbers::ids::TriangleId;
+use sightline_viewcells::TileIndex;
 
-/// The first bytes of receivers: their name and the version of the layout.
+/// The first bytes of receivers: the format's name and the version of the layout.
 const MAGIC: &[u8; 8] = b"SLRECV01";
-/// Bytes of a receiver.
+/// Size of a receiver in bytes.
 const RECEIVER: usize = 6 * 8 + 4;
-/// In place of the triangle of a receiver that lies on none.
+/// The stored triangle id of a receiver without a known triangle.
 const NO_TRIANGLE: u32 = u32::MAX;
 
-/// Most bytes of the receivers of a job, which are in memory while they are checked: some forty million.
+/// Maximum size of the receivers of a job, in bytes: about forty million receivers. The coordinator has all
+/// of them in memory while it checks them.
 pub const MOST_BYTES: u64 = 2 << 30;
-/// About how many receivers a tile has.
+/// The approximate number of receivers of a tile.
 pub const TILE: u32 = 4096;
-/// Most receivers of a block, so that no tile but the last can be without one.
+/// Maximum number of receivers of a block. Because of this limit, only the last tile can be empty.
 pub const MOST_BLOCK: u32 = TILE;
-/// Most lights of a job. Each has a number for each receiver.
+/// Maximum number of lights of a job. Each light adds a value to each receiver.
 pub const MOST_LIGHTS: u32 = 64;
-/// Most corners of a light.
+/// Maximum number of corners of a light.
 pub const MOST_CORNERS: u32 = 64;
 
-/// Bytes that are no receivers.
+/// The error of receivers that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReceiversError {
-    /// They are cut short, or another version wrote them.
-    #[error("the receivers cannot be read: {0}; they were damaged or written by another version")]
+    /// The bytes are cut short, or another version wrote them.
+    #[error(
+        "the receivers cannot be read: {0}; the bytes are damaged, or another version wrote them"
+    )]
     Damaged(&'static str),
-    /// One of them cannot be used.
+    /// A receiver cannot be used.
     #[error("receiver {at} of the job cannot be used: {what}")]
     Receiver {
-        /// Its number, from 0, in the order of the blocks.
+        /// The number of the receiver, starting at 0, in the order of the blocks.
         at: u32,
-        /// What is wrong with it, and what it should be.
+        /// The fault of the receiver, and the expectation.
         what: &'static str,
     },
-    /// One of the lights cannot be used.
+    /// A light cannot be used.
     #[error("light {at} of the job cannot be used: {what}")]
     Light {
-        /// Its number, from 0.
+        /// The number of the light, starting at 0.
         at: u32,
-        /// What is wrong with it, and what it should be.
+        /// The fault of the light, and the expectation.
         what: String,
     },
-    /// The job as a whole cannot be computed.
+    /// The settings, or the receivers as a whole, cannot be used. The text completes “the job's …”.
     #[error("the job's {0}")]
     Job(&'static str),
 }
 
-/// How occluders within the distance count.
+/// The weight, in the openness, of a direction that a triangle blocks within the job's distance D.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Falloff {
-    /// A blocked direction counts nothing, however far the occluder is.
+    /// A blocked direction has weight 0, whatever the distance to the occluder.
     None,
-    /// A direction that is first blocked at d < D counts √(d/D).
+    /// A direction whose nearest occluder is at distance d < D has weight √(d/D).
     Sqrt,
 }
 
 /// A point whose openness the job computes, in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Receiver {
-    /// The point.
+    /// The point, in world space.
     pub point: [f64; 3],
-    /// The normal, of any length but 0.
+    /// The normal, of any length except 0.
     pub normal: [f64; 3],
-    /// The triangle that it lies on, if that is known.
-    pub triangle: Option<u32>,
+    /// The triangle on which the receiver lies, if it is known.
+    pub triangle: Option<TriangleId>,
 }
 
 /// The settings that all receivers of a job share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReceiverSettings {
-    /// Distance beyond which nothing hides, in units of the scene; may be infinite.
+    /// The distance beyond which triangles do not block, in the scene's units. May be infinite.
     pub distance: f64,
-    /// How occluders within it count.
+    /// The weight of a direction that is blocked within the distance.
     pub falloff: Falloff,
-    /// Convex polygons whose form factors the job computes, in world space.
+    /// The lights: convex polygons whose form factors the job computes, in world space.
     pub lights: Vec<Vec<[f64; 3]>>,
 }
 
@@ -88,27 +94,28 @@ pub struct ReceiverSettings {
 pub struct Receivers {
     /// The settings of all receivers.
     pub settings: ReceiverSettings,
-    /// How many receivers each block has, 1 to [`MOST_BLOCK`]. A block's receivers share a partition of rays.
+    /// The number of receivers of each block, 1 to [`MOST_BLOCK`]. The receivers of a block share a ray
+    /// partition.
     pub blocks: Vec<u32>,
     /// All receivers, in the order of the blocks.
     pub receivers: Vec<Receiver>,
 }
 
-/// What the coordinator has to know of receivers.
+/// The facts about receivers that the coordinator needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Facts {
-    /// Number of receivers.
+    /// The number of receivers.
     pub points: u32,
-    /// Number of lights.
+    /// The number of lights.
     pub lights: u32,
-    /// The first receiver of each tile, then the number of receivers.
+    /// The index, in the job, of the first receiver of each tile, followed by the number of all receivers.
     pub starts: Vec<u32>,
-    /// The greatest number of a triangle that a receiver lies on.
+    /// The largest triangle number of a receiver; `None` if no receiver has a triangle.
     pub greatest_triangle: Option<u32>,
 }
 
 impl Facts {
-    /// Numbers of a receiver's answer: its openness, then the form factor of each light.
+    /// Returns the number of values per receiver: the openness, then the form factor of each light.
     pub fn numbers(&self) -> u32 {
         1 + self.lights
     }
@@ -118,24 +125,26 @@ impl Facts {
         self.starts.len().saturating_sub(1) as u32
     }
 
-    /// The number of receivers of a tile; `None` when there is no such tile.
-    pub fn receivers_of(&self, tile: u32) -> Option<u32> {
-        let at = tile as usize;
+    /// Returns the number of receivers of a tile, or `None` if the job has no such tile.
+    pub fn receivers_of(&self, tile: TileIndex) -> Option<u32> {
+        let at = tile.at();
         Some(self.starts.get(at + 1)? - self.starts.get(at)?)
     }
 }
 
-/// The number of tiles of a job with so many receivers: tile t has the blocks that begin with one of its
-/// receivers t·[`TILE`] to (t + 1)·[`TILE`] − 1. The last one may be empty.
+/// Returns the number of tiles of a job with `points` receivers.
+///
+/// Tile t has the blocks whose first receiver is one of t·[`TILE`] to (t + 1)·[`TILE`] − 1. The last tile may
+/// be empty.
 pub fn tiles(points: u32) -> u32 {
     points.div_ceil(TILE)
 }
 
 impl Receivers {
-    /// The receivers as bytes.
+    /// Encodes the receivers.
     ///
     /// # Errors
-    /// [`ReceiversError`] when [`Self::decode`] would refuse the bytes.
+    /// [`ReceiversError`] if [`Self::decode`] would reject the bytes.
     pub fn encode(&self) -> Result<Vec<u8>, ReceiversError> {
         let ReceiverSettings {
             distance,
@@ -145,7 +154,7 @@ impl Receivers {
         let sum: u64 = self.blocks.iter().map(|n| u64::from(*n)).sum();
         if sum != self.receivers.len() as u64 {
             return Err(ReceiversError::Job(
-                "blocks have another number of receivers than there are",
+                "block sizes do not add up to its number of receivers; correct the sizes",
             ));
         }
         if sum.saturating_mul(RECEIVER as u64) > MOST_BYTES {
@@ -172,15 +181,15 @@ impl Receivers {
         for r in &self.receivers {
             put_point(&mut out, &r.point);
             put_point(&mut out, &r.normal);
-            put(&mut out, r.triangle.unwrap_or(NO_TRIANGLE) as usize);
+            put(&mut out, r.triangle.map_or(NO_TRIANGLE, |t| t.0) as usize);
         }
         check(&out).map(|_| out)
     }
 
-    /// Reads receivers on a scene of so many triangles.
+    /// Decodes the receivers of a scene with `triangles` triangles.
     ///
     /// # Errors
-    /// [`ReceiversError`] naming the first thing that cannot be used.
+    /// [`ReceiversError`] for the first receiver, light or setting that cannot be used.
     pub fn decode(bytes: &[u8], triangles: u32) -> Result<Self, ReceiversError> {
         let mut receivers = Vec::new();
         let (settings, blocks) = read(bytes, &mut |receiver, all| {
@@ -189,9 +198,9 @@ impl Receivers {
             }
             receivers.push(receiver);
         })?;
-        let beyond = |r: &Receiver| r.triangle.is_some_and(|t| t >= triangles);
+        let beyond = |r: &Receiver| r.triangle.is_some_and(|t| t.0 >= triangles);
         if let Some(at) = receivers.iter().position(beyond) {
-            let what = "the scene has no such triangle; send the scene that the receivers are for";
+            let what = "its triangle id is not in the scene; send the scene of these receivers";
             return Err(ReceiversError::Receiver {
                 at: at as u32,
                 what,
@@ -204,15 +213,15 @@ impl Receivers {
         })
     }
 
-    /// The blocks of a tile: the receivers of each; `None` when there is no such tile.
-    pub fn of_tile(&self, tile: u32) -> Option<Vec<&[Receiver]>> {
-        if tile >= tiles(self.receivers.len() as u32) {
+    /// Returns the receivers of each block of a tile, or `None` if the job has no such tile.
+    pub fn of_tile(&self, tile: TileIndex) -> Option<Vec<&[Receiver]>> {
+        if tile.0 >= tiles(self.receivers.len() as u32) {
             return None;
         }
         let (mut tile_blocks, mut start) = (Vec::new(), 0usize);
         for n in &self.blocks {
             let end = start + *n as usize;
-            if start as u32 / TILE == tile {
+            if start as u32 / TILE == tile.0 {
                 tile_blocks.push(self.receivers.get(start..end)?);
             }
             start = end;
@@ -221,26 +230,27 @@ impl Receivers {
     }
 }
 
-/// Checks receivers without keeping them.
+/// Checks receivers without storing them, and returns the facts about them.
 ///
 /// # Errors
-/// [`ReceiversError`] naming the first thing that cannot be used, but for triangles that the scene may not
-/// have.
+/// [`ReceiversError`] for the first receiver, light or setting that cannot be used. Triangle numbers are not
+/// checked, because the scene is not known here.
 pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
     let (mut points, mut greatest) = (0u32, None);
     let (settings, blocks) = read(bytes, &mut |receiver, _| {
         points += 1;
-        greatest = greatest.max(receiver.triangle);
+        greatest = greatest.max(receiver.triangle.map(|t| t.0));
     })?;
     let (mut starts, mut start) = (vec![0], 0);
     for n in blocks {
-        // No block is larger than a tile, so none begins more than one tile after the one before it.
+        // A block is at most as large as a tile, so each block begins in the tile of the previous block or in
+        // the next tile.
         if start / TILE == starts.len() as u32 {
             starts.push(start);
         }
         start += n;
     }
-    // The last tile is empty where a block of the one before it holds its receivers.
+    // The last tile is empty if a block of the previous tile contains its receivers.
     starts.resize(tiles(points) as usize + 1, points);
     Ok(Facts {
         points,
@@ -250,9 +260,9 @@ pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
     })
 }
 
-const TOO_MANY: &str = "receivers take more than 2 GiB; use larger texels, or several jobs";
+const TOO_MANY: &str = "receivers have more than 2 GiB; use larger texels, or several jobs";
 
-/// Bytes that are read from the front.
+/// A reader of receivers from the front of a byte slice.
 struct ReceiversReader<'a>(&'a [u8]);
 
 impl ReceiversReader<'_> {
@@ -260,7 +270,7 @@ impl ReceiversReader<'_> {
         let (taken, rest) = self
             .0
             .split_first_chunk()
-            .ok_or(ReceiversError::Damaged("they are cut short"))?;
+            .ok_or(ReceiversError::Damaged("the bytes are cut short"))?;
         self.0 = rest;
         Ok(*taken)
     }
@@ -277,13 +287,13 @@ impl ReceiversReader<'_> {
         Ok([self.f64()?, self.f64()?, self.f64()?])
     }
 
-    /// A count of things that take this many bytes each.
+    /// Reads a count of elements that have this many bytes each.
     fn count(&mut self, bytes: usize) -> Result<usize, ReceiversError> {
         let n = self.u32()? as usize;
         let there = n <= self.0.len() / bytes;
-        there
-            .then_some(n)
-            .ok_or(ReceiversError::Damaged("they announce more than there is"))
+        there.then_some(n).ok_or(ReceiversError::Damaged(
+            "a count exceeds the remaining bytes",
+        ))
     }
 }
 
@@ -291,7 +301,8 @@ fn is_finite(p: &[f64; 3]) -> bool {
     p.iter().all(|x| x.is_finite())
 }
 
-/// Reads receivers; `take` gets each one, and the number of all.
+/// Decodes receivers. Calls `take` for each receiver, with the number of all receivers. Returns the settings
+/// and the number of receivers of each block.
 fn read(
     bytes: &[u8],
     take: &mut dyn FnMut(Receiver, usize),
@@ -302,10 +313,10 @@ fn read(
     }
     let mut r = ReceiversReader(bytes);
     if &r.take()? != MAGIC {
-        return Err(Damaged("they do not begin as receivers do"));
+        return Err(Damaged("the first 8 bytes are not SLRECV01"));
     }
     let distance = r.f64()?;
-    // Not a number is refused, too.
+    // NaN is rejected, too.
     if distance.is_nan() || distance <= 0.0 {
         return Err(Job(
             "distance is not above 0; give a length in the scene's units, or inf",
@@ -315,14 +326,14 @@ fn read(
     let falloff = match falloff {
         0 => Falloff::None,
         1 => Falloff::Sqrt,
-        _ => return Err(Damaged("their falloff is unknown")),
+        _ => return Err(Damaged("the byte of the falloff is not 0 or 1")),
     };
     let settings = ReceiverSettings {
         distance,
         falloff,
         lights: lights(&mut r)?,
     };
-    computed(&settings)?;
+    check_falloff(&settings)?;
     let count = r.count(4)?;
     let blocks = (0..count).map(|_| r.u32()).collect::<Result<Vec<_>, _>>()?;
     if blocks.iter().any(|n| !(1..=MOST_BLOCK).contains(n)) {
@@ -330,37 +341,35 @@ fn read(
     }
     let all: u64 = blocks.iter().map(|n| u64::from(*n)).sum();
     if all == 0 {
-        return Err(Job("receivers are none; give at least one"));
+        return Err(Job("receivers are missing; give at least one"));
     }
     if all.checked_mul(RECEIVER as u64) != Some(r.0.len() as u64) {
         return Err(Damaged(
-            "their blocks have another number of receivers than there are",
+            "the block sizes do not add up to the number of receivers",
         ));
     }
-    // At most 2 GiB, so their number is far below 2³².
+    // The receivers have at most 2 GiB, so their number is far below 2³².
     for at in 0..all as u32 {
         let (point, normal, triangle) = (r.point()?, r.point()?, r.u32()?);
         let wrong = |what| Err(ReceiversError::Receiver { at, what });
-        // Scenes are in single precision.
+        // Scene coordinates are in single precision, so receivers have the same range.
         if !is_finite(&point) || point.iter().any(|x| x.abs() > f64::from(f32::MAX)) {
-            return wrong(
-                "its point has a coordinate that is not a finite number of at most 3.4e38",
-            );
+            return wrong("a coordinate of its point is not finite, or is beyond ±3.4e38");
         }
         if !is_finite(&normal) {
-            return wrong("its normal has a coordinate that is not a finite number");
+            return wrong("a coordinate of its normal is not finite");
         }
-        // As the solver has it, whose squares must neither vanish nor overflow.
+        // The solver computes these squares, which must neither vanish nor overflow.
         let squares: f64 = normal.iter().map(|x| x * x).sum();
         if !(squares.is_normal() && (1.0 / squares).is_normal()) {
-            return wrong("its normal has no direction; give one of a length near 1");
+            return wrong("its normal is too short or too long; give a normal of length 1");
         }
         let triangle = Some(triangle).filter(|t| *t != NO_TRIANGLE);
         take(
             Receiver {
                 point,
                 normal,
-                triangle,
+                triangle: triangle.map(TriangleId),
             },
             all as usize,
         );
@@ -372,7 +381,7 @@ fn lights(r: &mut ReceiversReader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversEr
     let count = r.count(4)? as u32;
     if count > MOST_LIGHTS {
         return Err(ReceiversError::Job(
-            "lights are more than 64; use several jobs",
+            "number of lights exceeds 64; use several jobs",
         ));
     }
     let mut lights = Vec::with_capacity(count as usize);
@@ -381,24 +390,24 @@ fn lights(r: &mut ReceiversReader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversEr
         let corners = r.count(3 * 8)? as u32;
         if !(3..=MOST_CORNERS).contains(&corners) {
             return Err(wrong(format!(
-                "it has {corners} corners; give a convex polygon of 3 to {MOST_CORNERS}"
+                "the light has {corners} corners; give a convex polygon of 3 to {MOST_CORNERS} corners"
             )));
         }
         let light = (0..corners)
             .map(|_| r.point())
             .collect::<Result<Vec<_>, _>>()?;
-        // As the solver has it: it would refuse each tile of a job with another light.
+        // The solver has the same check and would reject each tile of a job with another light.
         Convex::new(&light).map_err(|e| wrong(e.to_string()))?;
         lights.push(light);
     }
     Ok(lights)
 }
 
-/// Checks that the settings have an answer.
-fn computed(settings: &ReceiverSettings) -> Result<(), ReceiversError> {
+/// Checks that the falloff can be computed for the distance.
+fn check_falloff(settings: &ReceiverSettings) -> Result<(), ReceiversError> {
     if settings.falloff != Falloff::None && settings.distance.is_infinite() {
         return Err(ReceiversError::Job(
-            "falloff compares distances with theirs, which is infinite; give a finite one",
+            "falloff sqrt requires a finite distance; give a finite distance, or falloff none",
         ));
     }
     Ok(())
@@ -414,7 +423,7 @@ mod tests {
         let receiver = |i: u32| Receiver {
             point: [f64::from(i), 0.5, -3.0],
             normal: [0.0, 0.0, 2.0],
-            triangle: (!i.is_multiple_of(3)).then_some(i % 7),
+            triangle: (!i.is_multiple_of(3)).then_some(TriangleId(i % 7)),
         };
         let settings = ReceiverSettings {
             distance: 2.0,
@@ -428,7 +437,7 @@ mod tests {
         }
     }
 
-    /// The reason why changed bytes are refused.
+    /// Returns the message of the error that a change of valid receivers causes.
     fn refused(change: impl FnOnce(&mut Receivers)) -> String {
         let mut receivers = of_blocks(&[2, 1]);
         change(&mut receivers);
@@ -436,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn receivers_come_back_and_tiles_hold_every_block_once() {
+    fn receivers_round_trip_and_tiles_partition_blocks() {
         for blocks in [
             &[1][..],
             &[64; 200],
@@ -451,7 +460,7 @@ mod tests {
             let tiles = tiles(facts.points);
             assert_eq!(facts.starts.len() as u32, tiles + 1, "{blocks:?}");
             let mut again = Vec::new();
-            for tile in 0..tiles {
+            for tile in (0..tiles).map(TileIndex) {
                 let tile_blocks = receivers.of_tile(tile).unwrap();
                 let here: usize = tile_blocks.iter().map(|block| block.len()).sum();
                 assert_eq!(
@@ -462,12 +471,13 @@ mod tests {
                 again.extend(tile_blocks.concat());
             }
             assert_eq!(again, receivers.receivers);
-            assert!(receivers.of_tile(tiles).is_none() && facts.receivers_of(tiles).is_none());
+            let past = TileIndex(tiles);
+            assert!(receivers.of_tile(past).is_none() && facts.receivers_of(past).is_none());
         }
     }
 
     #[test]
-    fn what_cannot_be_used_is_refused_by_its_number() {
+    fn error_names_receiver_by_number() {
         let bytes = of_blocks(&[5]).encode().unwrap();
         assert_eq!(check(&bytes).unwrap().greatest_triangle, Some(4));
         let unknown = Receivers::decode(&bytes, 4).unwrap_err().to_string();
@@ -486,7 +496,8 @@ mod tests {
         assert!(refused(|r| r.receivers[2].normal[0] = f64::NAN).contains("receiver 2"));
         for length in [0.0, 1e-200, 1e200] {
             assert!(
-                refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction")
+                refused(|r| r.receivers[2].normal = [0.0, length, 0.0])
+                    .contains("too short or too long")
             );
         }
         let darkens = ReceiverSettings {
@@ -497,8 +508,10 @@ mod tests {
         assert!(refused(|r| r.settings = darkens.clone()).contains("falloff"));
         assert!(refused(|r| r.settings.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
         assert!(refused(|r| r.blocks = vec![3, 0]).contains("block"));
-        assert!(refused(|r| r.blocks = vec![4]).contains("blocks"));
-        assert!(refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("none"));
+        assert!(refused(|r| r.blocks = vec![4]).contains("block sizes"));
+        assert!(
+            refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("missing")
+        );
         let infinite = ReceiverSettings {
             distance: f64::INFINITY,
             falloff: Falloff::None,
@@ -515,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_that_is_no_convex_polygon_is_refused_by_its_number() {
+    fn error_names_light_that_is_not_convex_polygon() {
         let square = vec![
             [0.0, 0.0, 9.0],
             [4.0, 0.0, 9.0],
@@ -528,28 +541,31 @@ mod tests {
             refused(|r| r.settings.lights = vec![square.clone(), light])
         };
         let cases: [(&str, String); 8] = [
-            ("it has 2 corners; give", with(&|l| l.truncate(2))),
-            ("it has 65 corners; give", with(&|l| l.resize(65, [1.0; 3]))),
+            ("the light has 2 corners; give", with(&|l| l.truncate(2))),
+            (
+                "the light has 65 corners; give",
+                with(&|l| l.resize(65, [1.0; 3])),
+            ),
             (
                 "corner 1 is not finite; give",
                 with(&|l| l[1][0] = f64::NAN),
             ),
             ("corner 2 is not finite; give", with(&|l| l[2][2] = 1e39)),
             (
-                "it has no area",
+                "the polygon has no area",
                 with(&|l| l.iter_mut().for_each(|c| c[1] = 0.0)),
             ),
             (
-                "is not in the plane of the others; divide",
+                "is not in the plane of the other corners; divide",
                 with(&|l| l[3][2] = 8.0),
             ),
             (
-                "it is not convex at corner 2; divide",
+                "the polygon is not convex at corner 2; divide",
                 with(&|l| l[2] = [1.0, 1.0, 9.0]),
             ),
             // A bow tie.
             (
-                "it is not convex at corner",
+                "the polygon is not convex at corner",
                 with(&|l| l[3] = [5.0, 2.0, 9.0]),
             ),
         ];
@@ -575,7 +591,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn damaged_receivers_are_refused_or_whole(
+        fn decoder_rejects_or_reads_damaged_receivers(
             blocks in proptest::collection::vec(1u32..9, 1..5),
             at in any::<proptest::sample::Index>(),
             bits in 1..=255u8,
@@ -594,7 +610,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_bytes_do_not_crash_decoder(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
             let named = [MAGIC.as_slice(), &bytes].concat();
             for bytes in [&bytes, &named] {
                 let _ = check(bytes);

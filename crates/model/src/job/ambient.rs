@@ -1,7 +1,7 @@
-//! The task of ambient occlusion: receivers, by their digest and their numbers.
+//! The task of ambient occlusion: the digest and the counts of its receivers.
 //!
-//! Such a job has no cells. Its tiles are runs of receivers, and where a job counts cells it counts
-//! receivers. All workers give the same bytes, so it needs no tracer.
+//! A job of ambient occlusion has no cells. Its tiles are runs of receivers, and its plan counts receivers in
+//! place of cells. All workers compute the same bytes, so the job needs no tracer.
 
 use sightline_proto::v1;
 use sightline_viewcells::{CellBox, Plan, UNITS_PER_CELL};
@@ -9,26 +9,26 @@ use sightline_viewcells::{CellBox, Plan, UNITS_PER_CELL};
 use super::SpecError;
 use crate::receivers::{MOST_BYTES, MOST_LIGHTS, TILE, tiles};
 
-/// The receivers that a job names.
+/// The receivers that a job references.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ambient {
-    /// BLAKE3 digest of the receivers.
+    /// The BLAKE3 digest of the receivers.
     pub receivers: [u8; 32],
     /// The length of the receivers in bytes.
     pub bytes: u64,
     /// The number of receivers.
     pub points: u32,
-    /// Number of the lights.
+    /// The number of lights.
     pub lights: u32,
 }
 
 impl Ambient {
-    /// Returns the number of values of a receiver's answer: its openness, then the form factor of each light.
+    /// Returns the number of values per receiver: the openness, then the form factor of each light.
     pub fn numbers(self) -> u32 {
         1 + self.lights
     }
 
-    /// Returns the plan: tiles of runs of receivers.
+    /// Computes the plan, whose tiles are runs of receivers.
     pub(super) fn plan(self) -> Plan {
         let unit = CellBox {
             lo: [0; 3],
@@ -37,27 +37,31 @@ impl Ambient {
         Plan::of_counts(unit, self.counts())
     }
 
-    /// Returns the approximate number of receivers of each tile: a tile has whole blocks, so that it may have
-    /// some more or less. The sum is exact.
+    /// Returns the approximate number of receivers of each tile. A tile has whole blocks, so it may have more
+    /// or fewer receivers. The sum is exact.
     fn counts(self) -> impl Iterator<Item = u64> {
         (0..tiles(self.points)).map(move |tile| u64::from((self.points - tile * TILE).min(TILE)))
     }
 
-    /// Reads the receivers that a message names.
+    /// Reads the receivers that a message references.
     pub(super) fn from_message(m: &v1::Ambient) -> Result<Self, SpecError> {
         let receivers = m.receivers.as_slice().try_into();
-        let receivers = receivers
-            .map_err(|_| SpecError::new("receivers", "give the 32 bytes of their digest"))?;
+        let receivers = receivers.map_err(|_| {
+            SpecError::new(
+                "receivers",
+                "their digest does not have 32 bytes; give the BLAKE3 digest",
+            )
+        })?;
         let (Some(bytes), Some(points), Some(lights)) = (m.bytes, m.points, m.lights) else {
             return Err(SpecError::new(
                 "receivers",
-                "their length and numbers are absent; the coordinator fills them in at Submit",
+                "their size or a count is absent; the coordinator sets size and counts at Submit",
             ));
         };
         if points == 0 || bytes > MOST_BYTES || lights > MOST_LIGHTS {
             return Err(SpecError::new(
                 "receivers",
-                "send them with PutReceivers and name their digest",
+                "their size or a count is out of range; send them with PutReceivers",
             ));
         }
         Ok(Self {
@@ -68,7 +72,7 @@ impl Ambient {
         })
     }
 
-    /// Returns the message.
+    /// Returns the message of the receivers.
     pub(super) fn to_message(self) -> v1::Ambient {
         v1::Ambient {
             receivers: self.receivers.to_vec(),
@@ -94,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn receivers_come_back_from_the_message_and_are_in_the_key() {
+    fn receivers_round_trip_through_message_and_change_key() {
         let read = |m: &v1::JobSpec| JobSpec::from_message(m, &SceneFacts::default());
         let spec = JobSpec::of_receivers([7; 32], ambient(5));
         let message = spec.to_message();

@@ -1,5 +1,6 @@
-//! The view cells of a job: the view box, its division, and where viewpoints can be. Each kind of cells is a
-//! type that its constructor checks, so that a lattice cannot fail later.
+//! The view cells of a job: the view box, its division, and the parts that contain viewpoints.
+//!
+//! Each division has its own type. The constructor checks the cells, so that the lattice cannot fail later.
 
 use std::sync::Arc;
 
@@ -12,16 +13,17 @@ use sightline_viewcells::{
 use super::SpecError;
 use super::numbers::{TileCells, TriangleBudget};
 
-/// Deepest adaptive tree that sight lines sample; visibility cubes make deeper ones.
+/// Maximum depth of an adaptive tree that sight lines sample. Visibility cubes sample deeper trees.
 pub const MOST_LINE_DEPTH: u32 = 12;
 
-/// Deepest adaptive tree.
+/// Maximum depth of an adaptive tree that visibility cubes sample.
 pub const MOST_CUBE_DEPTH: u32 = sightline_viewcells::division::MAX_DEPTH;
 
-/// Maximum number of tiles of a grid, about: the scheduler goes through all of them.
+/// Approximate maximum number of tiles of a grid. The scheduler iterates over all tiles of a job, so more
+/// tiles would slow it down.
 const MOST_TILES: u64 = 1 << 16;
 
-/// Maximum length of encoded viewpoints in bytes: well below the size of a message.
+/// Maximum length of encoded viewpoints in bytes, well below the maximum size of a gRPC message.
 const MOST_BYTES: usize = 1 << 20;
 
 /// A view box with its division into cells.
@@ -42,7 +44,7 @@ impl Cells {
         })
     }
 
-    /// Returns the box of viewpoints, in world space.
+    /// Returns the view box, which contains all viewpoints, in world space.
     pub fn view_box(&self) -> Aabb {
         self.view_box
     }
@@ -57,8 +59,9 @@ impl Cells {
         &self.lattice
     }
 
-    /// Returns the grid whose cells marks of viewpoints are for: the boxes of a tree are one row. `None` for
-    /// an adaptive tree, whose cells are not known.
+    /// Returns the numbers of cells along x, y and z of the grid that a [`PartMask`] covers. The n boxes of a
+    /// tree count as a grid of n × 1 × 1 cells. Returns `None` for an adaptive tree, whose cells are unknown
+    /// before the bake.
     fn marked(&self) -> Option<[u32; 3]> {
         match &self.division {
             Division::Grid(cells) => Some(*cells),
@@ -68,7 +71,7 @@ impl Cells {
     }
 }
 
-/// The places where viewpoints can be.
+/// The parts of the view box that contain viewpoints.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Viewpoints {
     /// Everywhere in the view box.
@@ -76,16 +79,16 @@ pub enum Viewpoints {
     Everywhere,
     /// In marked parts of the cells.
     Parts(Arc<PartMask>),
-    /// In marked parts of the cells, and there only in a region. Free segments that begin in the region do
-    /// not leave it.
+    /// In marked parts of the cells, restricted to a region. An unobstructed segment that begins in the
+    /// region does not leave the region.
     Region(Arc<PartMask>, Arc<Region>),
 }
 
-/// The viewpoints of cells that have no marks.
+/// The viewpoints of a division that supports no mask.
 static EVERYWHERE: Viewpoints = Viewpoints::Everywhere;
 
 impl Viewpoints {
-    /// Makes the viewpoints of marks and, where there is one, a region.
+    /// Creates viewpoints from the mask of the marked parts and an optional region.
     pub fn new(mask: PartMask, region: Option<Region>) -> Self {
         match region {
             Some(region) => Self::Region(Arc::new(mask), Arc::new(region)),
@@ -93,7 +96,7 @@ impl Viewpoints {
         }
     }
 
-    /// Returns the marked parts; `None` for all.
+    /// Returns the marked parts, or `None` if viewpoints are everywhere.
     pub fn mask(&self) -> Option<&Arc<PartMask>> {
         match self {
             Self::Everywhere => None,
@@ -101,7 +104,7 @@ impl Viewpoints {
         }
     }
 
-    /// Returns the region, where viewpoints are restricted to one.
+    /// Returns the region of viewpoints, or `None` if the viewpoints are not restricted to a region.
     pub fn region(&self) -> Option<&Arc<Region>> {
         match self {
             Self::Everywhere | Self::Parts(_) => None,
@@ -109,14 +112,16 @@ impl Viewpoints {
         }
     }
 
-    /// Returns the bytes of the message: the marks, then the region. No bytes stand for everywhere.
+    /// Encodes viewpoints as in a message: the mask of the marked parts, then the region. The encoding of
+    /// viewpoints everywhere is empty.
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = self.mask().map_or_else(Vec::new, |mask| mask.encode());
         bytes.extend(self.region().iter().flat_map(|region| region.encode()));
         bytes
     }
 
-    /// Reads the bytes of the message, for a grid of this many cells, which a [`Division`] has checked.
+    /// Decodes the viewpoints of a message for a grid of this many cells. The caller has checked the grid
+    /// with a [`Division`].
     fn decode(mut bytes: &[u8], cells: [u32; 3]) -> Result<Self, SpecError> {
         if bytes.is_empty() {
             return Ok(Self::Everywhere);
@@ -133,19 +138,19 @@ impl Viewpoints {
     }
 }
 
-/// The error of viewpoints whose bytes are too many.
+/// The error of viewpoints that are longer than [`MOST_BYTES`].
 const TOO_FINE: SpecError = SpecError::new(
     "viewpoints",
-    "they are too finely divided; use fewer or larger cells, or leave out the region",
+    "their encoding exceeds 1 MiB; use fewer cells, or omit the region",
 );
 
-/// Checks that viewpoints are for the cells, and small enough for a message.
+/// Checks that viewpoints are for these cells, and short enough for a message.
 fn check_viewpoints(cells: &Cells, viewpoints: &Viewpoints) -> Result<(), SpecError> {
     let marks = viewpoints.mask().map(|mask| mask.cells());
     if marks.is_some() && marks != cells.marked() {
         return Err(SpecError::new(
             "viewpoints",
-            "give them for the cells of the job's grid, or its boxes",
+            "they mark other cells than the job has; give viewpoints for the cells of the job",
         ));
     }
     match viewpoints.encode().len() <= MOST_BYTES {
@@ -163,11 +168,11 @@ pub struct GridCells {
 }
 
 impl GridCells {
-    /// Divides the view box into this many cells along x, y and z, with the usual tiles and viewpoints
+    /// Divides the view box into this many cells along x, y and z, with the default tiles and viewpoints
     /// everywhere.
     ///
     /// # Errors
-    /// [`DivisionError`].
+    /// [`DivisionError`] if the view box cannot be divided.
     pub fn new(view_box: Aabb, cells: [u32; 3]) -> Result<Self, DivisionError> {
         Ok(Self {
             cells: Cells::new(view_box, Division::Grid(cells))?,
@@ -179,29 +184,29 @@ impl GridCells {
     /// Sets the maximum number of cells of a tile.
     ///
     /// # Errors
-    /// [`SpecError`] when there would be too many tiles.
+    /// [`SpecError`] if the grid would have too many tiles.
     pub fn with_tile_cells(self, tile_cells: TileCells) -> Result<Self, SpecError> {
         let cells = self.cells.marked().unwrap_or_default().map(u64::from);
         // The lattice exists, so the product does not overflow.
         if cells.iter().product::<u64>() / u64::from(tile_cells.get()) > MOST_TILES {
             return Err(SpecError::new(
                 TileCells::OPTION,
-                "so few cells a tile make too many tiles; give more cells a tile",
+                "this number of cells per tile makes more than 65536 tiles; give more cells per tile",
             ));
         }
         Ok(Self { tile_cells, ..self })
     }
 
-    /// Sets where viewpoints can be.
+    /// Sets the parts of the view box that contain viewpoints.
     ///
     /// # Errors
-    /// [`SpecError`] for viewpoints of other cells, or too finely divided ones.
+    /// [`SpecError`] if the viewpoints mark other cells, or if their encoding exceeds 1 MiB.
     pub fn with_viewpoints(self, viewpoints: Viewpoints) -> Result<Self, SpecError> {
         check_viewpoints(&self.cells, &viewpoints)?;
         Ok(Self { viewpoints, ..self })
     }
 
-    /// Sets viewpoints from the bytes of a message.
+    /// Sets the viewpoints from the bytes of a message.
     pub(super) fn with_encoded_viewpoints(self, bytes: &[u8]) -> Result<Self, SpecError> {
         let viewpoints = Viewpoints::decode(bytes, self.cells.marked().unwrap_or_default())?;
         self.with_viewpoints(viewpoints)
@@ -222,13 +227,14 @@ impl GridCells {
         &self.cells
     }
 
-    /// Returns where viewpoints can be.
+    /// Returns the parts of the view box that contain viewpoints.
     pub fn viewpoints(&self) -> &Viewpoints {
         &self.viewpoints
     }
 }
 
-/// The boxes of a kd-tree, of any size. A wall in a face of a box blocks.
+/// View cells that are the boxes of a kd-tree, of any size. A wall in a face of a box blocks the sight lines
+/// through the wall.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoxCells {
     cells: Cells,
@@ -239,7 +245,7 @@ impl BoxCells {
     /// Divides the view box by a tree, with viewpoints everywhere.
     ///
     /// # Errors
-    /// [`DivisionError`].
+    /// [`DivisionError`] if the view box cannot be divided.
     pub fn new(view_box: Aabb, tree: Arc<KdTree>) -> Result<Self, DivisionError> {
         Ok(Self {
             cells: Cells::new(view_box, Division::Tree(tree))?,
@@ -247,22 +253,22 @@ impl BoxCells {
         })
     }
 
-    /// Sets where viewpoints can be.
+    /// Sets the parts of the view box that contain viewpoints.
     ///
     /// # Errors
-    /// [`SpecError`] for viewpoints of other cells, or too finely divided ones.
+    /// [`SpecError`] if the viewpoints mark other cells, or if their encoding exceeds 1 MiB.
     pub fn with_viewpoints(self, viewpoints: Viewpoints) -> Result<Self, SpecError> {
         check_viewpoints(&self.cells, &viewpoints)?;
         Ok(Self { viewpoints, ..self })
     }
 
-    /// Sets viewpoints from the bytes of a message.
+    /// Sets the viewpoints from the bytes of a message.
     pub(super) fn with_encoded_viewpoints(self, bytes: &[u8]) -> Result<Self, SpecError> {
         let viewpoints = Viewpoints::decode(bytes, self.cells.marked().unwrap_or_default())?;
         self.with_viewpoints(viewpoints)
     }
 
-    /// Returns the tree.
+    /// Returns the kd-tree of the boxes.
     pub(super) fn tree(&self) -> &KdTree {
         match &self.cells.division {
             Division::Tree(tree) => tree,
@@ -277,14 +283,14 @@ impl BoxCells {
         &self.cells
     }
 
-    /// Returns where viewpoints can be.
+    /// Returns the parts of the view box that contain viewpoints.
     pub fn viewpoints(&self) -> &Viewpoints {
         &self.viewpoints
     }
 }
 
-/// A grid of view cells for visibility cubes. Cubes are at the lattice's points, so they have no region, and
-/// the tiles follow from the grid.
+/// A grid of view cells for visibility cubes. Cubes lie at the lattice's points, so viewpoints have no
+/// region, and the grid determines the tiles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CubeGrid {
     cells: Cells,
@@ -295,7 +301,7 @@ impl CubeGrid {
     /// Divides the view box into this many cells along x, y and z, with viewpoints everywhere.
     ///
     /// # Errors
-    /// [`DivisionError`].
+    /// [`DivisionError`] if the view box cannot be divided.
     pub fn new(view_box: Aabb, cells: [u32; 3]) -> Result<Self, DivisionError> {
         Ok(Self {
             cells: Cells::new(view_box, Division::Grid(cells))?,
@@ -303,10 +309,10 @@ impl CubeGrid {
         })
     }
 
-    /// Sets the parts of the cells where viewpoints can be.
+    /// Sets the parts of the cells that contain viewpoints.
     ///
     /// # Errors
-    /// [`SpecError`] for marks of other cells, or too finely divided ones.
+    /// [`SpecError`] if the mask is for other cells, or if its encoding exceeds 1 MiB.
     pub fn with_mask(self, mask: Arc<PartMask>) -> Result<Self, SpecError> {
         let viewpoints = Viewpoints::Parts(mask);
         check_viewpoints(&self.cells, &viewpoints)?;
@@ -335,31 +341,31 @@ impl CubeGrid {
         &self.cells
     }
 
-    /// Returns where viewpoints can be.
+    /// Returns the parts of the view box that contain viewpoints.
     pub fn viewpoints(&self) -> &Viewpoints {
         &self.viewpoints
     }
 }
 
-/// The cells of an adaptive tree of at most `DEPTH` levels. Where they are is known after the bake.
+/// The cells of an adaptive tree of at most `DEPTH` levels. The bake determines the cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adaptive<const DEPTH: u32> {
     cells: Cells,
 }
 
 impl<const DEPTH: u32> Adaptive<DEPTH> {
-    /// Halves cells of the view box until at most `budget` triangles are visible from a cell or the tree is
-    /// `max_depth` deep.
+    /// Creates cells that halve the view box. A cell is halved until at most `budget` triangles are visible
+    /// from it or the tree is `max_depth` deep.
     ///
     /// # Errors
-    /// [`SpecError`] for a deeper tree than the sampler makes, or a view box that cannot be divided.
+    /// [`SpecError`] if `max_depth` exceeds `DEPTH` or the view box cannot be divided.
     pub fn new(view_box: Aabb, budget: TriangleBudget, max_depth: u32) -> Result<Self, SpecError> {
         let budget = budget.get();
         let cells = Cells::new(view_box, Division::Adaptive { budget, max_depth })?;
         if max_depth > DEPTH {
             return Err(SpecError::new(
                 "max-depth",
-                "trees deeper than 12 are sampled with cubes",
+                "sight lines sample at most 12 levels; give at most 12, or the sampler cubes",
             ));
         }
         Ok(Self { cells })
@@ -395,7 +401,7 @@ pub enum KnownCells {
 pub enum CubeCells {
     /// Cells of equal size.
     Grid(CubeGrid),
-    /// Smaller cells where more is seen.
+    /// Cells that are smaller where more triangles are visible.
     Adaptive(Adaptive<MOST_CUBE_DEPTH>),
 }
 
@@ -425,7 +431,7 @@ impl AnyCells for KnownCells {
     fn layout(&self) -> Layout {
         match self {
             Self::Grid(grid) => Layout::Blocks(grid.tile_cells.get()),
-            // Each box is a tile, whatever the number.
+            // Each box is a separate tile, whatever this number.
             Self::Boxes(_) => Layout::Blocks(USUAL_BLOCK_CELLS),
         }
     }
@@ -461,13 +467,13 @@ impl AnyCells for Adaptive<MOST_LINE_DEPTH> {
     }
 
     fn layout(&self) -> Layout {
-        // A tile is a subtree below the levels that are always split, whatever the number.
+        // A tile is a subtree below the levels that are always split, whatever this number.
         Layout::Blocks(USUAL_BLOCK_CELLS)
     }
 }
 
-/// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints
-/// are.
+/// Returns the marked parts of a cell that is known before the bake. A bit is set for each part that contains
+/// viewpoints; all bits are set if there is no mask.
 pub(super) fn marks(cells: &Cells, viewpoints: &Viewpoints, cell: &CellBox) -> u64 {
     let number = cells.division.number(&cells.lattice, cell);
     match (viewpoints.mask(), number) {

@@ -1,8 +1,8 @@
-//! The reasons why a specification is rejected.
+//! The errors of a specification that is rejected.
 
 use sightline_viewcells::{DivisionError, PartMaskError, RegionError, TreeError};
 
-/// A number outside its range.
+/// A number outside the range of its option.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "{option} is {value}, which is not between {least} and {most}; choose a value in that range"
@@ -10,15 +10,15 @@ use sightline_viewcells::{DivisionError, PartMaskError, RegionError, TreeError};
 pub struct OutOfRange {
     /// The option's name on the command line, without dashes.
     pub option: &'static str,
-    /// The value given.
+    /// The given value.
     pub value: f64,
-    /// Minimum value.
+    /// The minimum value.
     pub least: f64,
-    /// Maximum value.
+    /// The maximum value.
     pub most: f64,
 }
 
-/// A name or number that no value of a parameter has.
+/// A name or number that is not a value of its parameter.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is no {parameter} {given}; give {}", one_of(names))]
 pub struct UnknownValue {
@@ -26,7 +26,7 @@ pub struct UnknownValue {
     pub parameter: &'static str,
     /// The unknown value, as text.
     pub given: String,
-    /// The names there are.
+    /// The names of the parameter's values.
     pub names: Vec<&'static str>,
 }
 
@@ -40,22 +40,22 @@ fn one_of(names: &[&str]) -> String {
 /// A reason why a specification is rejected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SpecError {
-    /// A value is missing, malformed, or does not fit.
+    /// A value is missing, malformed, or does not fit: the option's name without dashes, and the fault.
     #[error("the job's {0} cannot be used: {1}")]
     Value(&'static str, &'static str),
-    /// Two values go together in no job that is built.
-    #[error("{0} cannot be combined with {1} yet; leave one of them out")]
+    /// Two values cannot be combined, because jobs with both values are not implemented.
+    #[error("{0} cannot be combined with {1}; omit one of them")]
     Combination(&'static str, &'static str),
     /// A number is outside its range.
     #[error(transparent)]
     Range(#[from] OutOfRange),
-    /// A name or its number is unknown.
+    /// The name of a value, or its number in a message, is unknown.
     #[error(transparent)]
     Name(#[from] UnknownValue),
     /// The view box cannot be divided.
     #[error(transparent)]
     Division(#[from] DivisionError),
-    /// The boxes are not a tree.
+    /// The boxes do not form a tree.
     #[error(transparent)]
     Tree(#[from] TreeError),
     /// The marks of viewpoints cannot be read.
@@ -67,8 +67,12 @@ pub enum SpecError {
 }
 
 impl SpecError {
-    /// The error of a message that needs the scene's bounds as its view box, where they are not known.
-    pub const NO_VIEW_BOX: Self = Self::new("view-box", "give x0,y0,z0,x1,y1,z1");
+    /// The error of a message whose view box does not have six coordinates. A message without coordinates has
+    /// it only if the bounds of the scene are unknown.
+    pub const NO_VIEW_BOX: Self = Self::new(
+        "view-box",
+        "the six coordinates are missing; give x0,y0,z0,x1,y1,z1",
+    );
 
     pub(crate) const fn new(option: &'static str, remedy: &'static str) -> Self {
         Self::Value(option, remedy)
@@ -78,7 +82,7 @@ impl SpecError {
         Self::Combination(option, other)
     }
 
-    /// Returns the name of the option at fault, without dashes, where it is one.
+    /// Returns the name of the option that caused the error, without dashes, or `None` if no option did.
     pub fn option(&self) -> Option<&'static str> {
         match self {
             Self::Value(option, _) | Self::Combination(option, _) => Some(option),

@@ -1,4 +1,4 @@
-//! The fit of a job to its scene.
+//! The check that a job fits its scene.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
@@ -8,18 +8,19 @@ use super::{JobSpec, SpecError, Task};
 /// The facts about a scene on which a job depends.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SceneFacts {
-    /// The number of its triangles.
+    /// The number of the scene's triangles.
     pub triangles: u32,
-    /// The scene's bounds in world space, which are the view box of a message that has none.
+    /// The scene's bounds in world space. They are the view box of a message without a view box.
     pub bounds: Option<Aabb>,
-    /// Whether some triangles have alpha masks.
+    /// True if some triangles have alpha masks.
     pub has_masks: bool,
-    /// Whether triangles are seen from their front sides only.
+    /// True if triangles are seen from their front sides only.
     pub is_culled: bool,
 }
 
 impl SceneFacts {
-    /// Returns the view box of a message that gives these corners, or none.
+    /// Returns the view box of a message with these corners. Returns the scene's bounds if `corners` is
+    /// empty.
     pub(super) fn view_box(&self, corners: &[f32]) -> Result<Aabb, SpecError> {
         match (corners, self.bounds) {
             (&[x0, y0, z0, x1, y1, z1], _) => {
@@ -35,8 +36,8 @@ impl JobSpec {
     /// Checks that a job can be computed for a scene.
     ///
     /// # Errors
-    /// [`SpecError`] for alpha masks and culled faces with methods that decide, and for viewpoints in a
-    /// region of another scene.
+    /// [`SpecError`] if a method other than aggressive is used with alpha masks or back-face culling, or if
+    /// the region of viewpoints belongs to another scene.
     pub fn fits(&self, scene: &SceneFacts) -> Result<(), SpecError> {
         let Task::Visibility(task) = &self.task else {
             return Ok(());
@@ -44,14 +45,14 @@ impl JobSpec {
         if task.is_decided() && scene.has_masks {
             return Err(SpecError::new(
                 "method",
-                "exact queries do not read alpha textures; leave out --alpha-textures, or give aggressive, \
-                 or give --opaque or --see-through for the masked triangles",
+                "exact queries do not read alpha textures; omit --alpha-textures, or give \
+                 aggressive, or give --opaque or --see-through for the masked triangles",
             ));
         }
         if task.is_decided() && scene.is_culled {
             return Err(SpecError::new(
                 "method",
-                "exact queries take every triangle as seen from both sides; give aggressive, or leave out \
+                "exact queries use both sides of every triangle; give aggressive, or omit \
                  --cull-back-faces",
             ));
         }
@@ -62,7 +63,8 @@ impl JobSpec {
         if greatest.is_some_and(|triangle| triangle >= scene.triangles) {
             return Err(SpecError::new(
                 "viewpoints",
-                "their region names a triangle that the scene does not have; give those of this scene",
+                "their region refers to a triangle that the scene does not have; give the \
+                 viewpoints of this scene",
             ));
         }
         Ok(())

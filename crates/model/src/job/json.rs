@@ -1,4 +1,4 @@
-//! A job as JSON: the message, with the names of its fields, plain numbers, and the words of its values.
+//! A job as JSON: the message with the names of its fields, plain numbers, and the names of enum values.
 
 use prost::Message as _;
 use prost_reflect::{DescriptorPool, DynamicMessage, Kind, ReflectMessage as _, Value};
@@ -7,9 +7,11 @@ use serde_json::Value as Json;
 use super::JobSpec;
 
 impl JobSpec {
-    /// Returns the message as JSON, defaults written out. Digests are in hexadecimal. Viewpoints
-    /// are named by their digest, and boxes are counted, because both may be large. The choice of a backend
-    /// is omitted: a result depends on the profile that was taken, which its info names.
+    /// Returns the message as JSON, including defaults.
+    ///
+    /// Digests are in hexadecimal. Viewpoints are replaced by their digest and boxes by their number, because
+    /// both may be large. The choice of a backend is omitted: a result depends on the used profile, which the
+    /// result's info names.
     pub fn to_json(&self) -> Json {
         let mut json = json_of(&self.to_message().encode_to_vec()).unwrap_or(Json::Null);
         remove_field(&mut json, "backend");
@@ -44,15 +46,15 @@ fn find_field_mut<'a>(json: &'a mut Json, name: &str) -> Option<&'a mut Json> {
         .find_map(|value| find_field_mut(value, name))
 }
 
-/// Finds a field of a job's JSON by its name, at whatever depth: results of other programs may have any
-/// parameters. No two fields of different meaning have one name.
+/// Finds a field of a job's JSON by its name, at any depth, because results of other programs may have any
+/// parameters. Two fields of different meaning never have the same name.
 pub fn find_field<'a>(json: &'a Json, name: &str) -> Option<&'a Json> {
     let fields = json.as_object()?;
     let inner = || fields.values().find_map(|value| find_field(value, name));
     fields.get(name).or_else(inner)
 }
 
-/// Reads a message of a job as JSON; `None` for bytes that are no such message.
+/// Converts an encoded job message to JSON. Returns `None` if the bytes are not such a message.
 fn json_of(bytes: &[u8]) -> Option<Json> {
     let pool = DescriptorPool::decode(sightline_proto::DESCRIPTORS).ok()?;
     let descriptor = pool.get_message_by_name("sightline.v1.JobSpec")?;
@@ -81,15 +83,15 @@ fn value(value_of: &Value, kind: &Kind) -> Json {
         Value::F64(number) => (*number).into(),
         Value::String(text) => text.as_str().into(),
         Value::Bytes(bytes) => digest(bytes).into(),
-        Value::EnumNumber(number) => word(*number, kind),
+        Value::EnumNumber(number) => enum_name(*number, kind),
         Value::Message(message) => object(message),
         Value::List(values) => values.iter().map(|one| value(one, kind)).collect(),
-        // A job has none.
+        // A job has no maps.
         Value::Map(_) => Json::Null,
     }
 }
 
-/// Returns bytes that are a digest in hexadecimal, and the digest of others.
+/// Returns 32 bytes in hexadecimal. Returns the BLAKE3 digest of `bytes` in hexadecimal for other lengths.
 fn digest(bytes: &[u8]) -> String {
     let digest = bytes.try_into().map(blake3::Hash::from_bytes);
     digest
@@ -98,8 +100,9 @@ fn digest(bytes: &[u8]) -> String {
         .to_string()
 }
 
-/// Returns the word of an enum's value: its name without the name of the enum.
-fn word(number: i32, kind: &Kind) -> Json {
+/// Returns the name of an enum's value without the name of the enum, in lower case, or the number if the
+/// value has no name.
+fn enum_name(number: i32, kind: &Kind) -> Json {
     let Kind::Enum(of) = kind else {
         return number.into();
     };

@@ -1,4 +1,5 @@
-//! The combinations that a job can express and that are not built. A feature that builds one deletes its row.
+//! The combinations that a job can express but that are not implemented. A change that implements a
+//! combination deletes the combination here.
 
 use sightline_viewcells::Division;
 
@@ -7,16 +8,16 @@ use super::names::CellToCell;
 use super::visibility::{Visibility, count};
 use crate::output::pairs::MOST_PAIR_CELLS;
 
-/// Checks a task against the combinations that are built.
+/// Checks that a task is a combination that is implemented.
 ///
 /// # Errors
-/// [`SpecError`] for the first combination that is not.
+/// [`SpecError`] for the first combination that is not implemented.
 pub(super) fn check(task: &Visibility) -> Result<(), SpecError> {
     certificates(task)?;
     pairs(task)
 }
 
-/// Certificates are about whole closed cells of unlimited sight.
+/// Checks that certificates are combined only with whole closed cells and unlimited sight.
 fn certificates(task: &Visibility) -> Result<(), SpecError> {
     let about = [
         (
@@ -38,7 +39,7 @@ fn certificates(task: &Visibility) -> Result<(), SpecError> {
     }
 }
 
-/// Pairs of cells exist for cells of equal size, up to a number of cells.
+/// Checks that pairs of cells are combined only with cells of equal size, up to a number of cells.
 fn pairs(task: &Visibility) -> Result<(), SpecError> {
     if task.pairs != CellToCell::On {
         return Ok(());
@@ -50,7 +51,7 @@ fn pairs(task: &Visibility) -> Result<(), SpecError> {
         )),
         Some(cells) if cells > MOST_PAIR_CELLS => Err(SpecError::new(
             "cell-to-cell",
-            "at most 32768 cells can have it; give fewer cells, or off",
+            "pairs are listed for at most 32768 cells; give fewer cells, or off",
         )),
         Some(_) => Ok(()),
     }

@@ -1,8 +1,7 @@
-//! A specification as a message of the gRPC interface, and back.
+//! The conversion between a specification and a message of the gRPC interface.
 //!
-//! Every number, flag and named value of the message is optional. An absent one has its default when the
-//! message is read. A message that this module writes has every field, so that a default makes one key,
-//! written or absent.
+//! Every number, flag and named value of the message is optional. The reader replaces an absent value by its
+//! default. The writer writes every field, so a job has the same key if a default is written or absent.
 
 use std::sync::Arc;
 
@@ -19,37 +18,41 @@ use super::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};
 use super::visibility::{Method, Visibility};
 use super::{Ambient, FieldValue, JobSpec, SpecError, Task, limits};
 
-/// Cells along each axis where a message has none.
+/// The default number of cells along each axis.
 pub const USUAL_GRID: [u32; 3] = [8; 3];
 
-/// Depth of an adaptive tree where a message has none.
+/// The default maximum depth of an adaptive tree.
 pub const USUAL_DEPTH: u32 = 12;
 
-/// Reads a field; an absent one has its default.
+/// Reads a field, or returns its default if the field is absent.
 fn field<F: FieldValue + Default>(wire: Option<F::Wire>) -> Result<F, SpecError> {
     wire.map_or(Ok(F::default()), F::from_wire)
 }
 
-/// Reads a field whose absence has a meaning.
+/// Reads a field that has no default. Returns `None` if the field is absent.
 fn optional<F: FieldValue>(wire: Option<F::Wire>) -> Result<Option<F>, SpecError> {
     wire.map(F::from_wire).transpose()
 }
 
-/// Writes a field.
+/// Returns a value as a present field of a message.
 fn written<F: FieldValue>(value: F) -> Option<F::Wire> {
     Some(value.to_wire())
 }
 
 impl JobSpec {
-    /// Reads and checks a specification. Fields that are absent have their defaults, for a scene with these
-    /// facts. Messages of [`Self::to_message`] have every field and need no facts.
+    /// Reads and checks a specification. Absent fields have their defaults for a scene with these facts.
+    /// Messages of [`Self::to_message`] have every field and need no facts.
     ///
     /// # Errors
-    /// [`SpecError`] naming the first field that is rejected.
+    /// [`SpecError`] for the first field that is rejected.
     pub fn from_message(m: &v1::JobSpec, scene: &SceneFacts) -> Result<Self, SpecError> {
         let digest = m.scene.as_slice().try_into();
-        let digest =
-            digest.map_err(|_| SpecError::new("scene", "give the 32 bytes of its digest"))?;
+        let digest = digest.map_err(|_| {
+            SpecError::new(
+                "scene",
+                "its digest does not have 32 bytes; give the BLAKE3 digest",
+            )
+        })?;
         let task = match &m.task {
             Some(v1::job_spec::Task::Ambient(ambient)) => {
                 Task::Ambient(Ambient::from_message(ambient)?)
@@ -65,7 +68,7 @@ impl JobSpec {
         })
     }
 
-    /// Returns the specification as a message. Every field is set, except where absence has a meaning: no
+    /// Returns the specification as a message. Every field is set, unless absence has its own meaning: no
     /// time budget, viewpoints everywhere, an unknown axis.
     pub fn to_message(&self) -> v1::JobSpec {
         let task = match &self.task {
@@ -136,15 +139,18 @@ impl Visibility {
 
 fn aggressive(m: &v1::Aggressive, scene: &SceneFacts) -> Result<Method, SpecError> {
     Ok(Method::Aggressive {
-        sampling: Sampling::from_message(&m.sampling.clone().unwrap_or_default(), (scene, None))?,
+        sampling: Sampling::from_message(&m.sampling.clone().unwrap_or_default(), scene, None)?,
         items: field::<Granularity>(m.items)?,
     })
 }
 
 fn exact(m: &v1::Exact, scene: &SceneFacts) -> Result<Method, SpecError> {
-    let usual = (scene, Some(TileCells::EXACT));
     Ok(Method::Exact {
-        sampling: Sampling::from_message(&m.sampling.clone().unwrap_or_default(), usual)?,
+        sampling: Sampling::from_message(
+            &m.sampling.clone().unwrap_or_default(),
+            scene,
+            Some(TileCells::EXACT),
+        )?,
         effort: field::<Effort>(m.effort)?,
         certificates: m.certificates(),
     })
@@ -162,16 +168,18 @@ fn portals(m: &v1::Portals, scene: &SceneFacts) -> Result<Method, SpecError> {
     })
 }
 
-/// The facts about the scene, and the usual number of cells of a tile where the method decides it.
-type Usual<'a> = (&'a SceneFacts, Option<TileCells>);
-
 impl Sampling {
-    fn from_message(m: &v1::Sampling, usual: Usual<'_>) -> Result<Self, SpecError> {
+    /// Reads a message. `usual` is the default number of cells of a tile, if the method determines it.
+    fn from_message(
+        m: &v1::Sampling,
+        scene: &SceneFacts,
+        usual: Option<TileCells>,
+    ) -> Result<Self, SpecError> {
         let sampler = match &m.sampler {
-            Some(v1::sampling::Sampler::Lines(m)) => lines(m, usual)?,
-            Some(v1::sampling::Sampler::Guided(m)) => guided(m, usual)?,
-            Some(v1::sampling::Sampler::Cubes(m)) => cubes(m, usual.0)?,
-            None => lines(&v1::Lines::default(), usual)?,
+            Some(v1::sampling::Sampler::Lines(m)) => lines(m, scene, usual)?,
+            Some(v1::sampling::Sampler::Guided(m)) => guided(m, scene, usual)?,
+            Some(v1::sampling::Sampler::Cubes(m)) => cubes(m, scene)?,
+            None => lines(&v1::Lines::default(), scene, usual)?,
         };
         Ok(Self {
             sampler,
@@ -203,7 +211,11 @@ impl Sampling {
     }
 }
 
-fn lines(m: &v1::Lines, (scene, usual): Usual<'_>) -> Result<Sampler, SpecError> {
+fn lines(
+    m: &v1::Lines,
+    scene: &SceneFacts,
+    usual: Option<TileCells>,
+) -> Result<Sampler, SpecError> {
     let stop = match m.stop {
         None => Stop::Expected,
         Some(v1::lines::Stop::MaxError(most)) => Stop::Bound(MaxError::from_wire(most)?),
@@ -213,7 +225,7 @@ fn lines(m: &v1::Lines, (scene, usual): Usual<'_>) -> Result<Sampler, SpecError>
         Stop::Bound(most) => Some(most),
         Stop::Expected | Stop::Share(_) => None,
     };
-    // A bound is the target, too, unless another one is given.
+    // A bound is also the target error, unless another target error is given.
     let error = TargetError::from_wire(match (m.target_error, bound) {
         (Some(error), _) => error,
         (None, Some(most)) => most.get(),
@@ -269,7 +281,11 @@ fn lines_message(aim: &LineAim, time: Option<TimeBudget>) -> v1::Lines {
     }
 }
 
-fn guided(m: &v1::Guided, (scene, usual): Usual<'_>) -> Result<Sampler, SpecError> {
+fn guided(
+    m: &v1::Guided,
+    scene: &SceneFacts,
+    usual: Option<TileCells>,
+) -> Result<Sampler, SpecError> {
     let usual = usual.unwrap_or_default();
     Ok(Sampler::Guided {
         cells: match &m.cells {
@@ -318,7 +334,7 @@ fn cubes_message(cells: &CubeCells, params: &CubeParams) -> v1::Cubes {
     }
 }
 
-/// Returns the numbers of cells along each axis of a message.
+/// Returns the numbers of cells along each axis; absent numbers have their defaults.
 fn sides(given: [Option<u32>; 3]) -> [u32; 3] {
     [0, 1, 2].map(|axis| given[axis].unwrap_or(USUAL_GRID[axis]))
 }
@@ -343,7 +359,7 @@ fn known_boxes(m: &v1::BoxCells, scene: &SceneFacts) -> Result<KnownCells, SpecE
     ))
 }
 
-/// Returns the view box as a message has it.
+/// Returns the corners of the view box in the form of a message: minimum, then maximum.
 fn corners(cells: &Cells) -> Vec<f32> {
     let [min, max] = cells.view_box().corners().map(|c| c.to_array());
     min.into_iter().chain(max).collect()
@@ -397,7 +413,7 @@ impl<const DEPTH: u32> Adaptive<DEPTH> {
     fn from_message(m: &v1::Adaptive, scene: &SceneFacts) -> Result<Self, SpecError> {
         let budget = m.triangle_budget.ok_or(SpecError::new(
             TriangleBudget::OPTION,
-            "an adaptive division has no default; give at least 1",
+            "an adaptive division needs a triangle budget; give at least 1",
         ))?;
         let depth = m.max_depth.unwrap_or(USUAL_DEPTH);
         Self::new(
@@ -417,7 +433,7 @@ impl<const DEPTH: u32> Adaptive<DEPTH> {
     }
 }
 
-/// Returns the time budget of a message, in milliseconds.
+/// Returns the time budget of a job's message, in milliseconds, or `None` if the message has no time budget.
 pub fn time_budget_ms(m: &v1::JobSpec) -> Option<u64> {
     let Some(v1::job_spec::Task::Visibility(task)) = &m.task else {
         return None;
@@ -434,8 +450,8 @@ pub fn time_budget_ms(m: &v1::JobSpec) -> Option<u64> {
     }
 }
 
-/// Removes the parts of a message that can be large: viewpoints, and the planes of boxes. Returns true if it
-/// removed something.
+/// Removes the parts of a message that can be large: the viewpoints, and the axes and planes of boxes.
+/// Returns true if the message contained such a part.
 pub fn remove_large_parts(m: &mut v1::JobSpec) -> bool {
     let Some((viewpoints, boxes)) = large_parts(m) else {
         return false;
@@ -450,7 +466,7 @@ pub fn has_boxes(m: &v1::JobSpec) -> bool {
     large_parts(&mut m).is_some_and(|(_, boxes)| boxes.is_some())
 }
 
-/// The viewpoints of a message, and of boxes the axes and the planes.
+/// The viewpoints of a message and, for boxes, the axes and the planes.
 type LargeParts<'a> = (
     &'a mut Vec<u8>,
     Option<(&'a mut Vec<u32>, &'a mut Vec<f32>)>,

@@ -1,8 +1,8 @@
 //! The specification of a job: a computation for a scene.
 //!
-//! A job is a sum: a task has a method, a method its sampling, a sampler its cells and its parameters.
-//! Choices that exclude each other cannot be written. `limits.rs` has the few combinations that can be
-//! written and are not built.
+//! A job is a sum type: a task has a method, a method has a sampling, and a sampler has cells and parameters.
+//! Choices that exclude each other cannot be expressed. `limits.rs` lists the few combinations that can be
+//! expressed and are not implemented.
 
 mod ambient;
 pub mod cells;

@@ -1,8 +1,8 @@
 //! The named values of a job: tracer, method, sampler, superset simplification, error measure.
 //!
-//! Each is defined here once: its variants, their names on the command line and in results, and their numbers
-//! on the wire, which the .proto file defines. A new variant needs an entry in the .proto file, an entry
-//! here, and the code that acts on it.
+//! Each parameter is defined here once: its variants, their names on the command line and in results, and
+//! their numbers in messages, which the .proto file defines. A new variant needs an entry in the .proto file,
+//! an entry here, and the code that implements it.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -10,33 +10,34 @@ use sightline_proto::v1;
 
 use super::{FieldValue, SpecError, UnknownValue};
 
-/// The numerics profile of jobs that need no tracer. Every worker has it, and all give the same bytes.
+/// The numerics profile of jobs that need no tracer. Every worker has this profile, and all workers compute
+/// the same bytes for such a job.
 pub const NO_PROFILE: &str = "none";
 
-/// A parameter whose value is one of a few names.
+/// A parameter whose value is one of several names.
 pub trait NamedValue: Copy + Eq + Send + Sync + 'static {
     /// The parameter's name on the command line, without dashes.
     const PARAMETER: &'static str;
-    /// Every value, in the order in which help texts list them.
+    /// All values, in the order in which help texts list them.
     const ALL: &'static [Self];
 
     /// Returns the value's name on the command line and in results.
     fn name(self) -> &'static str;
 
-    /// Returns one line about the value, for help texts.
+    /// Returns a one-line description of the value, for help texts.
     fn about(self) -> &'static str;
 
-    /// Finds the value with a name.
+    /// Returns the value with a name.
     ///
     /// # Errors
-    /// [`UnknownValue`] when no value has that name.
+    /// [`UnknownValue`] if no value has this name.
     fn from_name(name: &str) -> Result<Self, UnknownValue> {
         let found = Self::ALL.iter().copied().find(|c| c.name() == name);
         found.ok_or_else(|| unknown::<Self>(format!("{name:?}")))
     }
 }
 
-/// Makes the error of a value that a parameter does not have.
+/// Creates the error of an unknown value of a parameter.
 fn unknown<V: NamedValue>(given: String) -> UnknownValue {
     UnknownValue {
         parameter: V::PARAMETER,
@@ -99,7 +100,7 @@ macro_rules! named_values {
     };
 }
 
-/// Defines the numbers of such an enum on the wire.
+/// Defines the numbers that the values of an enum of `named_values` have in messages.
 macro_rules! on_the_wire {
     ($choice:ident as $wire:ident: $($variant:ident),+) => {
         impl FieldValue for $choice {
@@ -118,29 +119,29 @@ macro_rules! on_the_wire {
 }
 
 named_values! {
-    /// How much of a cell's visibility is decided, and by which means.
+    /// The method that decides the visible sets of cells.
     MethodName("method") {
-        /// Sampling alone: a triangle in the set was seen; a triangle outside it may be visible.
+        /// Only sampling: a triangle in the set was seen; a triangle outside the set may be visible.
         Aggressive = "aggressive",
         /// Sampling, then exact queries for every triangle that sampling did not show.
         Exact = "exact",
-        /// Like exact, with lower limits for a single query; meant for a time budget.
+        /// Like exact, with lower limits for a single query; for --time-budget.
         Verified = "verified",
-        /// No sampling: what is behind walls is hidden, as the portals between the parts of the scene show. A
-        /// triangle without a witness is undecided.
+        /// No sampling: a triangle that no line through portals reaches is hidden. Any other triangle without
+        /// a witness is undecided.
         Portals = "portals",
     }
     default Aggressive
 }
 
 named_values! {
-    /// How visibility is sampled.
+    /// The sampler of visibility.
     SamplerName("sampler") {
-        /// Sight lines that are shared by all cells they cross and guided by earlier finds.
+        /// Sight lines that are shared by all cells they cross and guided by earlier hits.
         Lines = "lines",
         /// Visibility cubes on adaptively split rectangles (Nirenstein and Blake 2004).
         Cubes = "cubes",
-        /// A fixed number of guided rays for each cell alone: the baseline of the benchmarks.
+        /// A fixed number of guided rays for each cell separately: the baseline of the benchmarks.
         Guided = "guided",
     }
     default Lines
@@ -149,35 +150,38 @@ named_values! {
 named_values! {
     /// The tracer of rays and renderer of cubes.
     TracerChoice("backend") {
-        /// The first worker times every tracer on the scene; the job uses the faster one.
+        /// The first worker times every tracer on the scene; the job uses the fastest.
         Auto = "auto",
         /// A GPU or software rasteriser through wgpu.
         Gpu = "gpu",
-        /// Embree.
+        /// The processor: the same bytes on every machine.
         Cpu = "cpu",
+        /// The library Embree on the processor, for comparison.
+        Embree = "embree",
     }
     default Auto
 }
 
 named_values! {
-    /// Whether a cell's cubes are rendered with only the triangles that the parent cell saw: superset
-    /// simplification (Nirenstein and Blake 2004, section 4.2.1).
+    /// The use of superset simplification (Nirenstein and Blake 2004, section 4.2.1).
+    ///
+    /// A cell's cubes are rendered with only the triangles that the parent cell saw.
     SupersetChoice("superset") {
         /// On for the gpu backend, whose cost grows with the triangles drawn; off for the cpu backend.
         Auto = "auto",
-        /// Always.
+        /// On.
         On = "on",
-        /// Never.
+        /// Off.
         Off = "off",
     }
     default Auto
 }
 
 named_values! {
-    /// The error measure that decides whether a rectangle is split (Nirenstein and Blake 2004, sections 3.3
-    /// to 3.5).
+    /// The error measure that determines whether a rectangle is split (Nirenstein and Blake 2004, sections
+    /// 3.3 to 3.5).
     ErrorMeasure("error-measure") {
-        /// Err″: the sets in each of 24 angular strata, the worst of them (equation 3).
+        /// Err″: the sets of the four cubes in the worst of 24 angular strata (equation 3).
         Strata = "strata",
         /// Err: the sets of the four cubes (equation 1).
         Sets = "sets",
@@ -190,7 +194,7 @@ named_values! {
 }
 
 named_values! {
-    /// What the sets of a result name.
+    /// The items that the sets of a result list.
     Granularity("granularity") {
         /// Triangles.
         Triangles = "triangles",
@@ -203,11 +207,11 @@ named_values! {
 }
 
 named_values! {
-    /// Whether the result says which cells see which.
+    /// The option to list the pairs of cells that see each other.
     CellToCell("cell-to-cell") {
-        /// On with at most 512 cells.
+        /// On for at most 512 cells, otherwise off.
         Auto = "auto",
-        /// On; with at most 32768 cells.
+        /// On; for at most 32768 cells.
         On = "on",
         /// Off.
         Off = "off",
@@ -216,11 +220,11 @@ named_values! {
 }
 
 named_values! {
-    /// How much a single exact query may take.
+    /// The limits of a single exact query.
     Effort("effort") {
-        /// Enough for nearly every triangle.
+        /// Limits that suffice for nearly every triangle.
         Full = "full",
-        /// Less, so that no single query takes long.
+        /// Lower limits, so that no single query takes long.
         Bounded = "bounded",
     }
     default Full
@@ -237,7 +241,19 @@ named_values! {
     default Y
 }
 
-on_the_wire!(TracerChoice as Backend: Auto, Gpu, Cpu);
+on_the_wire!(TracerChoice as Backend: Auto, Gpu, Cpu, Embree);
+
+impl TracerChoice {
+    /// Returns true if a job with this choice can be bound to a numerics profile.
+    pub fn accepts(self, profile: &str) -> bool {
+        let tracer = profile.split('/').next().unwrap_or_default();
+        match self {
+            Self::Auto => ["cpu", "gpu"].contains(&tracer),
+            choice => tracer == choice.name(),
+        }
+    }
+}
+
 on_the_wire!(SupersetChoice as Superset: Auto, On, Off);
 on_the_wire!(ErrorMeasure as ErrorMeasure: Strata, Sets, Pixels, Uniform);
 on_the_wire!(Granularity as Granularity: Triangles, Clusters, Objects);

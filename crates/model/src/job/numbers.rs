@@ -1,10 +1,11 @@
-//! The numbers of a job: a type for each, with its range, its default and the name of its option.
+//! The numbers of a job: a type for each number, with its range, its default and the name of its option.
 //!
-//! A value outside its range cannot be made, so code that takes one of these types checks nothing.
+//! A value outside its range cannot be constructed, so code that accepts one of these types does not check
+//! the value.
 
 use super::{FieldValue, OutOfRange, SpecError};
 
-/// Defines the numbers: each a type that wraps a primitive one.
+/// Defines the types of numbers. Each type wraps a primitive type.
 macro_rules! numbers {
     ($(
         $(#[$about:meta])+
@@ -17,21 +18,21 @@ macro_rules! numbers {
         impl $name {
             /// The option's name on the command line, without dashes.
             pub const OPTION: &'static str = $option;
-            /// The minimum.
+            /// The minimum value.
             pub const LEAST: $type = $least;
-            /// The maximum.
+            /// The maximum value.
             pub const MOST: $type = $most;
 
-            /// Checks a value.
+            /// Creates a number from a value in the range.
             ///
             /// # Errors
-            /// [`OutOfRange`] for a value that is not between [`Self::LEAST`] and [`Self::MOST`].
+            /// [`OutOfRange`] if the value is not between [`Self::LEAST`] and [`Self::MOST`].
             pub fn new(value: $type) -> Result<Self, OutOfRange> {
                 if !(Self::LEAST..=Self::MOST).contains(&value) {
                     let [value, least, most] = [value, Self::LEAST, Self::MOST].map(|v| v as f64);
                     return Err(OutOfRange { option: Self::OPTION, value, least, most });
                 }
-                // −0 has other bits than 0. Without this, one value would have two keys.
+                // −0 has other bits than 0, so one value would have two keys.
                 Ok(Self(if value == <$type>::default() { <$type>::default() } else { value }))
             }
 
@@ -62,58 +63,65 @@ macro_rules! numbers {
 }
 
 numbers! {
-    /// The fraction of a cell's sight lines that the cell is expected to miss at most when it is finished. A
-    /// cell that costs several times the work of the average cell has a larger tolerance.
+    /// The maximum fraction of a cell's sight lines that a finished cell is expected to miss. A cell that
+    /// costs several times the work of the average cell has a larger tolerance.
     TargetError(f64) = "target-error", 1e-6, 1.0, default 1e-4;
     /// The maximum 95 % bound on a cell's fraction of missed sight lines.
     MaxError(f64) = "max-error", 1e-5, 1.0;
-    /// The share of a cell's sight lines from which on an item is met by a uniform line with a probability of
-    /// 95 %.
+    /// The minimum share of an item in a cell's sight lines.
+    ///
+    /// A cell is finished when its uniform lines meet an item of this share with a probability of 95 %.
     MinShare(f64) = "min-share", 1e-6, 1.0;
     /// The number of guided rays of each cell.
     RayCount(u64) = "rays", 1, 1_000_000_000_000, default 200_000;
-    /// The time after submission when sampling stops, in milliseconds: at most ten years.
+    /// The duration from submission until sampling stops, in milliseconds. At most ten years.
     TimeBudget(u64) = "time-budget", 1, 10 * 366 * 24 * 3600 * 1000;
     /// A distance from the viewpoint, in the scene's units.
     Length(f64) = "far", f32::MIN_POSITIVE as f64, f32::MAX as f64;
     /// The maximum number of grid cells of a tile.
     TileCells(u32) = "block-cells", 1, sightline_viewcells::MOST_BLOCK_CELLS,
         default sightline_viewcells::USUAL_BLOCK_CELLS;
-    /// The number of triangles visible from a cell of an adaptive tree above which the cell is halved.
+    /// The maximum number of visible triangles of a cell of an adaptive tree. A cell with more triangles is
+    /// halved.
     TriangleBudget(u32) = "triangle-budget", 1, u32::MAX;
-    /// The side of a face of a visibility cube, in pixels.
+    /// The side length of a face of a visibility cube, in pixels.
     Resolution(u32) = "resolution", 8, 4096, default 256;
-    /// The value of the error measure over exterior cubes above which a rectangle is split.
+    /// The threshold for the error measure over exterior cubes. A rectangle above the threshold is split.
     ErrorThreshold(f64) = "error-threshold", 0.0, 1.0, default 0.1;
-    /// The value of the error measure over cubes inside closed solids above which a rectangle is split
-    /// (Nirenstein and Blake 2004, section 3.6).
+    /// The threshold for the error measure over cubes inside closed solids. A rectangle above the threshold
+    /// is split (Nirenstein and Blake 2004, section 3.6).
     InteriorThreshold(f64) = "interior-threshold", 0.0, 1.0, default 0.5;
-    /// The fraction of a view cell's size, which is the geometric mean of its three sides, from which on a
-    /// rectangle within the cell is not split. The range ends where no use is known; a flat cell is halved
-    /// further along its long sides, and the lattice still has points there.
+    /// The minimum size of a rectangle in a cell, as a fraction of the cell's size. A rectangle of this size
+    /// is not split.
+    ///
+    /// The size of a cell is the geometric mean of its three sides. No use of values outside the range is
+    /// known. A flat cell is halved further along its long sides, and the lattice contains the corners of
+    /// these halves.
     MinDistance(f64) = "min-distance", 1.0 / 1024.0, 4.0, default 0.5;
 }
 
-/// Work, in triangles divided by the target error, above which a tile has fewer cells, with the number of
-/// cells. A guess at the work from which a lost worker, a pause and a second machine matter more than the
-/// lines that are shared.
+/// Pairs of a minimum work and the default number of cells of a tile for at least this work.
+///
+/// Work is the number of triangles divided by the target error. The values are estimates of the work above
+/// which a lost worker, a pause and a second machine matter more than shared lines.
 const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 
-/// Fraction of a bound that the sampler lines aims at before it takes the first bound, so that few cells need
-/// a second one.
+/// The expected error that the sampler aims at before the first look, as a fraction of the requested bound.
+/// Few cells then need a second look.
 pub const BOUND_AIM: f64 = 0.125;
 
 impl TileCells {
-    /// The cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that
-    /// sampling saves in large tiles is nothing compared with that.
+    /// The default number of cells of a tile that is decided exactly. A cell costs seconds in real scenes, so
+    /// the sampling time that larger tiles save is negligible.
     pub const EXACT: Self = Self(8);
 
-    /// The cells of a tile that are seen through portals, about a tenth of a second each.
+    /// The default number of cells of a tile of the method portals. A cell costs about a tenth of a second.
     pub const PORTALS: Self = Self(64);
 
-    /// Returns the usual number of cells of a tile that lines sample, for a scene with this many triangles.
+    /// Returns the default number of cells of a tile that lines sample, for a scene with `triangles`
+    /// triangles.
     pub fn of_lines(triangles: u32, error: TargetError, bound: Option<MaxError>) -> Self {
-        // The sampler aims at a bound from well below it.
+        // The sampler aims at an error well below the bound.
         let aim = bound.map_or(1.0, |most| most.get() * BOUND_AIM);
         let work = f64::from(triangles) / aim.min(error.get());
         let heavy = HEAVY.iter().find(|(least, _)| work >= *least);

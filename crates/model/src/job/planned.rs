@@ -1,4 +1,4 @@
-//! A job with its key and its plan, made once in each process that works on it.
+//! A job with its key and its plan, which each process creates once.
 
 use sightline_viewcells::{DivisionError, Lattice, Plan};
 
@@ -16,7 +16,7 @@ impl PlannedJob {
     /// Plans a new job.
     ///
     /// # Errors
-    /// [`DivisionError::TooThin`] when its cells are thinner than the rounding of sight lines.
+    /// [`DivisionError::TooThin`] if the job's cells are thinner than the rounding of sight lines.
     pub fn new(spec: JobSpec) -> Result<Self, DivisionError> {
         if let Task::Visibility(task) = &spec.task {
             task.rounding_displacement()?;
@@ -24,7 +24,7 @@ impl PlannedJob {
         Ok(Self::stored(spec))
     }
 
-    /// Plans a job that was accepted before, by this program or another one.
+    /// Plans a job that this version or another version accepted earlier, without the check of [`Self::new`].
     pub fn stored(spec: JobSpec) -> Self {
         Self {
             key: spec.key(),
@@ -33,7 +33,7 @@ impl PlannedJob {
         }
     }
 
-    /// Makes a job with a plan that is not its own, for simulations.
+    /// Creates a job with a plan that differs from the specification's, for simulations.
     pub fn with_plan(spec: JobSpec, plan: Plan) -> Self {
         Self {
             key: spec.key(),

@@ -1,4 +1,4 @@
-//! The sampling of cells: the sampler with its cells and its parameters.
+//! The sampling of cells: a sampler with its cells and parameters.
 
 use super::cells::{Adaptive, AnyCells, CubeCells, KnownCells, MOST_LINE_DEPTH};
 use super::names::{ErrorMeasure, SamplerName, SupersetChoice, TracerChoice};
@@ -14,49 +14,49 @@ pub struct Sampling {
     pub sampler: Sampler,
     /// The choice of a tracer.
     pub tracer: TracerChoice,
-    /// Whether the share of the view that each visible item takes is measured.
+    /// True if the bake measures the contribution of each visible item.
     pub contributions: bool,
 }
 
 /// The sampler of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sampler {
-    /// Sight lines that all cells on their way share and that earlier hits guide.
+    /// Sight lines that all crossed cells share and that earlier hits guide.
     Lines {
-        /// The cells, and when they are finished.
+        /// The cells, and the condition under which they are finished.
         aim: LineAim,
-        /// The time after which sampling stops.
+        /// The duration from submission until sampling stops; `None` for unlimited time.
         time: Option<TimeBudget>,
     },
-    /// A fixed number of guided rays of each cell, which no other cell shares: the baseline of the
-    /// benchmarks.
+    /// A fixed number of guided rays of each cell, which cells do not share: the baseline of the benchmarks.
     Guided {
         /// The cells.
         cells: KnownCells,
         /// The number of rays of each cell.
         rays: RayCount,
-        /// The time after which sampling stops.
+        /// The duration from submission until sampling stops; `None` for unlimited time.
         time: Option<TimeBudget>,
     },
     /// Visibility cubes on adaptively split rectangles (Nirenstein and Blake 2004).
     Cubes {
         /// The cells.
         cells: CubeCells,
-        /// The parameters.
+        /// The parameters of the cubes.
         params: CubeParams,
     },
 }
 
-/// The cells that lines sample, and when they are finished.
+/// The cells that lines sample, and the condition under which they are finished.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LineAim {
     /// Cells that are known before the bake.
     Known {
         /// The cells.
         cells: KnownCells,
-        /// The expected error at which a cell is finished; it steers the search in all three cases of `stop`.
+        /// The expected error at which a cell is finished. This error controls the search for all values of
+        /// `stop`.
         error: TargetError,
-        /// The second condition of a finished cell.
+        /// The condition that a finished cell meets in addition to `error`.
         stop: Stop,
     },
     /// The cells of an adaptive tree.
@@ -68,33 +68,33 @@ pub enum LineAim {
     },
 }
 
-/// The condition under which a cell is finished, in addition to its expected error.
+/// A condition under which a cell is finished, in addition to the cell's expected error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
-    /// At the expected error.
+    /// No additional condition.
     Expected,
-    /// When its 95 % bound on missed sight lines is at most this.
+    /// The cell's 95 % bound on missed sight lines is at most this value.
     Bound(MaxError),
-    /// When items of this share are found with a probability of 95 %.
+    /// Items of this share are found with a probability of 95 %.
     Share(MinShare),
 }
 
 /// The parameters of visibility cubes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CubeParams {
-    /// The side of a face in pixels.
+    /// The side length of a face, in pixels.
     pub resolution: Resolution,
     /// The error measure.
     pub measure: ErrorMeasure,
-    /// A rectangle is split while the measure over its exterior cubes exceeds this.
+    /// The threshold for the measure over exterior cubes. A rectangle above the threshold is split.
     pub error_threshold: ErrorThreshold,
-    /// The threshold for cubes inside closed solids.
+    /// The threshold for the measure over cubes inside closed solids.
     pub interior_threshold: InteriorThreshold,
-    /// The size from which on a rectangle within a cell is not split.
+    /// The minimum size of a rectangle within a cell. A rectangle of this size is not split.
     pub min_distance: MinDistance,
-    /// Whether cubes inside closed solids are judged apart (Nirenstein and Blake 2004, section 3.6).
+    /// True if cubes inside closed solids have a separate threshold (Nirenstein and Blake 2004, section 3.6).
     pub solids: bool,
-    /// Whether superset simplification is used.
+    /// The use of superset simplification.
     pub superset: SupersetChoice,
 }
 
@@ -113,7 +113,7 @@ impl Default for CubeParams {
 }
 
 impl Sampling {
-    /// Makes the sampling of a sampler, with the default tracer and without contributions.
+    /// Creates a sampling with this sampler, the default tracer, and no contributions.
     pub fn new(sampler: Sampler) -> Self {
         Self {
             sampler,
@@ -124,7 +124,7 @@ impl Sampling {
 }
 
 impl Sampler {
-    /// Makes the sampler lines over known cells, with the default error.
+    /// Creates the sampler `lines` over known cells, with the default error.
     pub fn lines(cells: KnownCells) -> Self {
         Self::Lines {
             aim: LineAim::Known {
@@ -136,7 +136,7 @@ impl Sampler {
         }
     }
 
-    /// Makes the sampler guided over known cells, with the default number of rays.
+    /// Creates the sampler `guided` over known cells, with the default number of rays.
     pub fn guided(cells: KnownCells) -> Self {
         Self::Guided {
             cells,
@@ -145,7 +145,7 @@ impl Sampler {
         }
     }
 
-    /// Makes the sampler cubes, with the default parameters.
+    /// Creates the sampler `cubes`, with the default parameters.
     pub fn cubes(cells: CubeCells) -> Self {
         Self::Cubes {
             cells,
@@ -162,7 +162,7 @@ impl Sampler {
         }
     }
 
-    /// Returns the parameters of visibility cubes, if these are the sampler.
+    /// Returns the parameters of visibility cubes, or `None` for another sampler.
     pub fn cube_params(&self) -> Option<&CubeParams> {
         match self {
             Self::Cubes { params, .. } => Some(params),
@@ -170,7 +170,8 @@ impl Sampler {
         }
     }
 
-    /// Returns the share from which on lines look for items, if they do.
+    /// Returns the minimum share of the items that sight lines search for, or `None` if the sampler has no
+    /// such condition.
     pub fn min_share(&self) -> Option<MinShare> {
         match self {
             Self::Lines {
@@ -185,7 +186,7 @@ impl Sampler {
         }
     }
 
-    /// Returns the time budget.
+    /// Returns the time budget, or `None` for unlimited time.
     pub(super) fn time(&self) -> Option<TimeBudget> {
         match self {
             Self::Lines { time, .. } | Self::Guided { time, .. } => *time,

@@ -1,4 +1,4 @@
-//! Tests of the whole specification: every value is in the key, and wrong values are rejected by name.
+//! Tests of the whole specification: every value changes the key, and wrong values are rejected by name.
 
 use std::sync::Arc;
 
@@ -95,7 +95,7 @@ fn exact(effort: Effort, certificates: bool) -> Visibility {
     .into()
 }
 
-/// Tasks that differ in a single value each, from a task or from each other.
+/// Returns tasks that differ from a default task, and from each other, in a single value.
 fn tasks() -> Vec<Visibility> {
     let plain = || with_cells(known());
     let wide = Aabb::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0));
@@ -191,7 +191,7 @@ fn read(message: &v1::JobSpec) -> Result<JobSpec, SpecError> {
 }
 
 #[test]
-fn specifications_come_back_from_messages_and_every_value_is_in_the_key() {
+fn specifications_round_trip_and_every_value_changes_key() {
     let mut jobs: Vec<JobSpec> = tasks().into_iter().map(job).collect();
     jobs.push(JobSpec {
         scene: [8; 32],
@@ -229,7 +229,7 @@ fn json_names_fields_values_and_defaults() {
 }
 
 #[test]
-fn json_is_the_same_for_every_choice_of_a_backend() {
+fn json_does_not_depend_on_backend() {
     let with = |tracer| {
         let mut sampling = Sampling::new(Sampler::lines(known()));
         sampling.tracer = tracer;
@@ -265,7 +265,7 @@ fn large_parts_are_removed_from_messages() {
 }
 
 #[test]
-fn combinations_that_are_not_built_are_rejected_by_option() {
+fn error_names_options_of_unimplemented_combination() {
     let refused = |task: Visibility| read(&job(task).to_message()).unwrap_err();
     let proved = |cells, far: bool| {
         let sampling = Sampling::new(Sampler::lines(cells));
@@ -299,7 +299,7 @@ fn combinations_that_are_not_built_are_rejected_by_option() {
 }
 
 #[test]
-fn wrong_values_are_rejected_by_name() {
+fn error_names_wrong_value() {
     let error = |change: &dyn Fn(&mut v1::Lines)| {
         let mut lines = v1::Lines {
             cells: Some(v1::lines::Cells::Grid(v1::GridCells {
@@ -417,8 +417,8 @@ fn job_rejects_scene_that_does_not_fit() {
 }
 
 #[test]
-fn cells_thinner_than_rounding_are_rejected_where_lines_decide() {
-    // Two metres at five million: five steps of 32-bit coordinates.
+fn job_rejects_cells_thinner_than_rounding_of_lines() {
+    // A box of two metres at five million metres: five steps of 32-bit coordinates.
     let far = |wide: f32| Aabb::new(Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide));
     let cells = |wide| KnownCells::Grid(GridCells::new(far(wide), [8; 3]).unwrap());
     let sampling = |wide| Sampling::new(Sampler::lines(cells(wide)));
@@ -436,7 +436,7 @@ fn cells_thinner_than_rounding_are_rejected_where_lines_decide() {
     );
     let part = displacement(Method::aggressive(sampling(160.0))).unwrap();
     assert!((0.2..0.3).contains(&part), "{part}");
-    // Halved along each axis, as such a tree is in any case.
+    // The tree is halved along each axis, as an adaptive tree always is.
     let tree = |wide| {
         let budget = TriangleBudget::new(5).unwrap();
         let cells = Adaptive::new(far(wide), budget, 6).unwrap();

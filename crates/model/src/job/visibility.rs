@@ -8,7 +8,7 @@ use super::names::{CellToCell, Effort, Granularity, MethodName, Up};
 use super::numbers::{Length, TimeBudget};
 use super::sampler::{Sampler, Sampling};
 
-/// Maximum number of cells with which a job computes pairs of cells by default: the cells of a usual tile.
+/// Maximum number of cells for which a job computes pairs of cells by default: the cells of a default tile.
 /// With several tiles, the lines of each tile cross the whole division once more.
 const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
 
@@ -17,20 +17,21 @@ const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
 pub struct Visibility {
     /// The method.
     pub method: Method,
-    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    /// The distance from the viewpoint at which sight lines end, in the scene's units; `None` for unlimited
+    /// sight.
     pub far: Option<Length>,
-    /// Whether the result lists the pairs of cells that see each other.
+    /// The option to list the pairs of cells that see each other.
     pub pairs: CellToCell,
-    /// Seed of all random numbers.
+    /// The seed of all random numbers.
     pub seed: u64,
-    /// The axis that points up, if it is known. It changes no set.
+    /// The axis that points up, if it is known. The axis does not affect the sets.
     pub up: Option<Up>,
 }
 
 /// The method by which visibility is decided.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Method {
-    /// Sampling without queries: a triangle in the set was seen; a triangle outside it may be visible.
+    /// Sampling without queries. A triangle in the set was seen; a triangle outside the set may be visible.
     Aggressive {
         /// The sampling of the cells.
         sampling: Sampling,
@@ -43,21 +44,21 @@ pub enum Method {
         sampling: Sampling,
         /// The limits of a single query.
         effort: Effort,
-        /// Whether witnesses and certificates are kept.
+        /// True if witnesses and certificates are stored.
         certificates: bool,
     },
     /// Portals between the parts of the scene, without sampling. A triangle that no line through portals
-    /// reaches is hidden; a triangle without a witness is undecided.
+    /// reaches is hidden; any other triangle without a witness is undecided.
     Portals {
         /// The cells.
         cells: KnownCells,
-        /// The time after which the work stops.
+        /// The duration from submission until the work stops; `None` for unlimited time.
         time: Option<TimeBudget>,
     },
 }
 
 impl Method {
-    /// Makes the method aggressive, with sets of triangles.
+    /// Creates the method `aggressive`, with sets of triangles.
     pub fn aggressive(sampling: Sampling) -> Self {
         Self::Aggressive {
             sampling,
@@ -65,7 +66,7 @@ impl Method {
         }
     }
 
-    /// Makes an exact method without certificates.
+    /// Creates an exact method without certificates.
     pub fn exact(sampling: Sampling, effort: Effort) -> Self {
         Self::Exact {
             sampling,
@@ -74,7 +75,7 @@ impl Method {
         }
     }
 
-    /// Makes the method portals without a time budget.
+    /// Creates the method `portals` without a time budget.
     pub fn portals(cells: KnownCells) -> Self {
         Self::Portals { cells, time: None }
     }
@@ -106,7 +107,7 @@ impl Method {
 }
 
 impl From<Method> for Visibility {
-    /// Makes the task of a method, with the defaults of everything else.
+    /// Creates the task of this method, with the defaults of all other values.
     fn from(method: Method) -> Self {
         Self {
             method,
@@ -124,7 +125,7 @@ impl Visibility {
         self.method.any_cells().cells()
     }
 
-    /// Returns the box of viewpoints, in world space.
+    /// Returns the view box, which contains all viewpoints, in world space.
     pub fn view_box(&self) -> Aabb {
         self.cells().view_box()
     }
@@ -139,12 +140,12 @@ impl Visibility {
         self.cells().lattice()
     }
 
-    /// Returns where viewpoints can be.
+    /// Returns the parts of the view box that contain viewpoints.
     pub fn viewpoints(&self) -> &Viewpoints {
         self.method.any_cells().viewpoints()
     }
 
-    /// Returns the sampling; the method portals has none.
+    /// Returns the sampling, or `None` for the method portals.
     pub fn sampling(&self) -> Option<&Sampling> {
         match &self.method {
             Method::Aggressive { sampling, .. } | Method::Exact { sampling, .. } => Some(sampling),
@@ -152,7 +153,7 @@ impl Visibility {
         }
     }
 
-    /// Returns the time budget.
+    /// Returns the time budget, or `None` for unlimited time.
     pub fn time_budget(&self) -> Option<TimeBudget> {
         match &self.method {
             Method::Aggressive { sampling, .. } | Method::Exact { sampling, .. } => {
@@ -170,13 +171,13 @@ impl Visibility {
         }
     }
 
-    /// Returns true if every triangle is visible with a witness, hidden, or undecided: with every method but
-    /// aggressive.
+    /// Returns true if every triangle is visible with a witness, hidden, or undecided. This is the case for
+    /// every method except aggressive.
     pub fn is_decided(&self) -> bool {
         !matches!(self.method, Method::Aggressive { .. })
     }
 
-    /// Returns true if witnesses and certificates are kept.
+    /// Returns true if witnesses and certificates are stored.
     pub fn has_certificates(&self) -> bool {
         matches!(
             self.method,
@@ -187,14 +188,16 @@ impl Visibility {
         )
     }
 
-    /// Returns true if the share of the view that each visible item takes is measured.
+    /// Returns true if the bake measures the contribution of each visible item.
     pub fn has_contributions(&self) -> bool {
         self.sampling()
             .is_some_and(|sampling| sampling.contributions)
     }
 
-    /// Returns true if the result has the scene divided along its walls, for look-ups from a point: with the
-    /// method portals, and of exact methods where walls enclose the viewpoints. The first tile has it.
+    /// Returns true if the result contains the scene's division along its walls, for queries from a point.
+    ///
+    /// This is the case for the method portals, and for exact methods if walls enclose the viewpoints. The
+    /// division is in the output of the first tile.
     pub fn has_portals(&self) -> bool {
         match self.method {
             Method::Portals { .. } => true,
@@ -203,16 +206,17 @@ impl Visibility {
         }
     }
 
-    /// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints
-    /// are.
+    /// Returns the marked parts of a cell that is known before the bake. A bit is set for each part that
+    /// contains viewpoints.
     pub fn marks(&self, cell: &CellBox) -> u64 {
         marks(self.cells(), self.viewpoints(), cell)
     }
 
-    /// Returns the grid of the pairs in the list of a tile: the number of cells of the view box along each
-    /// axis, or `None` for a job without pairs. An adaptive tree has a grid of the cells of its deepest
-    /// level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this grid, or, with deeper
-    /// trees, several are in one.
+    /// Returns the grid of the pairs in a tile's output, or `None` for a job without pairs.
+    ///
+    /// The grid is the number of cells of the view box along each axis. An adaptive tree has a grid of the
+    /// cells of its deepest level, at most [`MOST_LINE_DEPTH`]. A cell of the tree contains whole cells of
+    /// the grid. If the tree is deeper, a cell of the grid contains several cells of the tree.
     pub fn pair_cells(&self) -> Option<[u32; 3]> {
         let few = |sides: &[u32; 3]| count(*sides) <= FEW_PAIR_CELLS;
         match self.pairs {
@@ -222,7 +226,7 @@ impl Visibility {
         }
     }
 
-    /// Returns the grid over whose cells pairs can be listed; `None` for boxes and portals.
+    /// Returns the grid over whose cells pairs can be listed, or `None` for boxes and portals.
     pub(super) fn pair_grid(&self) -> Option<[u32; 3]> {
         if let Method::Portals { .. } = self.method {
             return None;
@@ -246,12 +250,14 @@ impl Visibility {
         }
     }
 
-    /// Returns the fraction of the thinnest view cell by which rounding to single precision can displace a
-    /// sight line; 0 for jobs whose sets do not depend on it, because exact queries find the triangles that
-    /// sampling misses.
+    /// Returns the maximum displacement of a sight line by rounding to single precision, as a fraction of the
+    /// thinnest view cell.
+    ///
+    /// The fraction is 0 except for the method aggressive with the sampler `lines`. Exact queries find the
+    /// triangles that sampling misses.
     ///
     /// # Errors
-    /// [`DivisionError`](sightline_viewcells::DivisionError) when the cells are thinner than rounding.
+    /// [`DivisionError`](sightline_viewcells::DivisionError) if the cells are thinner than the rounding.
     pub fn rounding_displacement(&self) -> Result<f64, sightline_viewcells::DivisionError> {
         match &self.method {
             Method::Aggressive { sampling, .. }

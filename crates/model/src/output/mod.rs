@@ -1,4 +1,4 @@
-//! The outputs of tiles: sets, samples and pairs of cells, their statistics, and their bytes.
+//! The outputs of tiles: sets, samples and pairs of cells, their statistics, and their encoding.
 
 pub mod bound;
 pub mod codec;

@@ -1,15 +1,15 @@
 //! The pairs of cells that see each other, from one tile: symmetric relations over all cells of the division.
 //!
-//! Cells are numbered by [`Visibility::pair_cells`]: the cells of a grid by their index, x fastest, then y,
-//! then z. A pair of cells is in the relation *seen* when a line of the tile crossed both before anything
-//! blocked it, and in the relation *hidden* when it was proved that no such line exists.
+//! [`Visibility::pair_cells`] numbers the cells: the cells of a grid by their index, x fastest, then y, then
+//! z. A pair of cells is in the relation *seen* if a line of the tile crossed both cells before a triangle
+//! blocked it. The pair is in the relation *hidden* if a proof shows that no such line exists.
 //!
-//! The crate `sightline_pvs` has the relation of a result in another type, because it depends on no
-//! other crate of the project.
+//! The crate `sightline_pvs` has another type for the relation of a result, because it depends on no other
+//! crate of the project.
 //!
 //! [`Visibility::pair_cells`]: crate::Visibility::pair_cells
 
-/// Most cells of a job whose result says which cells see which: a table takes cells² / 8 bytes.
+/// Maximum number of cells of a job that lists pairs of cells. A table has cells² / 8 bytes.
 pub const MOST_PAIR_CELLS: u64 = 1 << 15;
 
 /// A symmetric relation over cells: one bit for each ordered pair.
@@ -21,7 +21,7 @@ pub struct PairTable {
 }
 
 impl PairTable {
-    /// The relation without any pair over at most [`MOST_PAIR_CELLS`] cells.
+    /// Creates a relation without pairs over `cells` cells, at most [`MOST_PAIR_CELLS`].
     pub fn empty(cells: u32) -> Self {
         let words = (cells as usize).div_ceil(64);
         Self {
@@ -31,7 +31,7 @@ impl PairTable {
         }
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn cells(&self) -> u32 {
         self.cells
     }
@@ -43,17 +43,17 @@ impl PairTable {
         }
     }
 
-    /// Whether two cells are a pair; both must be below [`Self::cells`].
+    /// Returns true if two cells are a pair. Both must be below [`Self::cells`].
     pub fn has(&self, a: u32, b: u32) -> bool {
         self.row(a)[b as usize / 64] >> (b % 64) & 1 == 1
     }
 
-    /// The cells that are a pair with `cell`: bit `b % 64` of word `b / 64`.
+    /// Returns the cells that are a pair with `cell`, as bits: cell b is bit `b % 64` of word `b / 64`.
     pub fn row(&self, cell: u32) -> &[u64] {
         &self.rows[cell as usize * self.words..][..self.words]
     }
 
-    /// Adds all pairs of another relation over as many cells.
+    /// Adds all pairs of another relation over the same number of cells.
     pub fn extend(&mut self, other: &Self) {
         self.rows
             .iter_mut()
@@ -61,7 +61,8 @@ impl PairTable {
             .for_each(|(a, b)| *a |= b);
     }
 
-    /// The cells from `cell` on that are a pair with it, as the boundaries of runs: start, end, start, end.
+    /// Returns the cells from `cell` on that are a pair with `cell`, as the bounds of runs: start, end,
+    /// start, end.
     pub(crate) fn later(&self, cell: u32) -> Vec<u32> {
         let mut bounds: Vec<u32> = Vec::new();
         for (w, bits) in self.row(cell).iter().enumerate().skip(cell as usize / 64) {
@@ -82,11 +83,11 @@ impl PairTable {
     }
 }
 
-/// The relations of a tile.
+/// The relations between cells that one tile found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TilePairs {
-    /// The pairs that a line joined.
+    /// The pairs of cells that a sight line crossed.
     pub seen: PairTable,
-    /// The pairs that were proved hidden; `None` with the method aggressive.
+    /// The pairs that were proved hidden; `None` for the method aggressive.
     pub hidden: Option<PairTable>,
 }

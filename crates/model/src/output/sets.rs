@@ -1,4 +1,4 @@
-//! What a tile yields: the samples it rendered, or the subtree of view cells and their sets.
+//! The output of a tile: rendered samples, or a subtree of view cells and their sets.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use sightline_viewcells::{LatticePoint, Split};
 use crate::pairs::TilePairs;
 use crate::statistics::{COLUMNS, CellStats, DecisionStats};
 
-/// The result of one tile.
+/// The output of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TileOutput {
     /// The samples of a face tile or a separator tile.
@@ -19,7 +19,7 @@ pub enum TileOutput {
 /// The samples that a tile rendered and that other tiles share.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pack {
-    /// Samples with their lattice positions, in ascending order of position.
+    /// The samples with their lattice positions, in ascending order of position.
     pub samples: Vec<(LatticePoint, Arc<VisibilitySample>)>,
 }
 
@@ -27,21 +27,21 @@ pub struct Pack {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellSets {
     /// The tile's subtree of the kd-tree, in preorder.
-    pub nodes: Vec<Node>,
-    /// Its cells, in the order of their nodes.
+    pub nodes: Vec<SubtreeNode>,
+    /// The tile's cells, in the order of their nodes.
     pub cells: Vec<CellSet>,
-    /// Which cells of the whole division see which, as far as this tile's lines show; `None` when the job
-    /// does not ask.
+    /// The pairs of cells of the whole division that the tile's lines join; `None` if the job does not
+    /// request pairs.
     pub pairs: Option<TilePairs>,
-    /// The scene divided along its walls, as the result has it. Of the first tile of a job of the method
-    /// portals; empty in others.
+    /// The scene's division along its walls, in the form of the result. Empty for all tiles except the first
+    /// tile of a job with portals.
     pub portals: Vec<u8>,
 }
 
 /// A node of a leaf tile's subtree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Node {
-    /// An inner node; its two children follow, first the one below the plane.
+pub enum SubtreeNode {
+    /// An inner node. Two children follow: first the child below the plane.
     Split(Split),
     /// A view cell.
     Cell,
@@ -50,35 +50,39 @@ pub enum Node {
 /// The visibility set of one view cell.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellSet {
-    /// The items (triangles, unless the job has another granularity) seen from the cell, meeting it, or
-    /// undecided, in ascending order.
+    /// The items seen from the cell, meeting the cell, or undecided, in ascending order. Items are triangles,
+    /// unless the job has another granularity.
     pub visible: Vec<u32>,
-    /// Number of visibility cubes on the cell's surface.
+    /// The number of visibility cubes on the cell's surface.
     pub samples: u32,
-    /// How sampling with sight lines came to the set.
+    /// The statistics of the sampling with sight lines.
     pub stats: CellStats,
-    /// What exact queries decided; `None` with the method aggressive.
+    /// The results of exact queries; `None` for the method aggressive.
     pub decision: Option<Decision>,
-    /// Whether no viewpoint is in the cell. It was not sampled then, and its set is empty.
+    /// True if the cell contains no viewpoint. Such a cell is not sampled, and its set is empty.
     pub unreached: bool,
-    /// How many lines met each item of `visible`; `None` when the job does not ask.
+    /// The numbers of lines that met each item of `visible`; `None` if the job does not request
+    /// contributions.
     pub hits: Option<Hits>,
 }
 
-/// How many lines from a cell met each item of its set: the item's share of the view.
+/// The numbers of lines from a cell that met each item of the cell's set: the item's share of the view.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Hits {
-    /// Number of viewpoints from which lines were cast.
+    /// The number of viewpoints from which lines were cast.
     pub viewpoints: u32,
-    /// Lines from each viewpoint.
+    /// The number of lines from each viewpoint.
     pub lines: u32,
-    /// For each item of the set, the lines of all viewpoints that met it, and the most from one viewpoint.
+    /// For each item of the set: the number of lines from all viewpoints that met the item, and the largest
+    /// number from one viewpoint.
     pub counts: Vec<[u32; 2]>,
 }
 
 impl CellSet {
-    /// The cell's values, in the order of [`crate::statistics::column_names`]. A cell without exact queries
-    /// has zeros in their columns, and so has one from a worker that counts fewer of them.
+    /// Returns the cell's values, in the order of [`crate::statistics::column_names`].
+    ///
+    /// The columns of exact queries are 0 in a cell without exact queries. Columns that an older worker does
+    /// not count are also 0.
     pub fn row(&self) -> [u64; COLUMNS] {
         let mut row = [0; COLUMNS];
         let counts = self.decision.as_ref().map_or(&[][..], |d| &d.counts);
@@ -92,27 +96,27 @@ impl CellSet {
     }
 }
 
-/// The part of a cell's result that comes from exact queries.
+/// The part of a cell's result that exact queries determine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Decision {
-    /// Triangles of the set that were neither seen nor proved hidden, in ascending order.
+    /// The triangles of the set that were neither seen nor proved hidden, in ascending order.
     pub undecided: Vec<u32>,
-    /// The values of [`crate::statistics::DecisionStats`], at most [`Decision::MOST_COUNTS`].
+    /// The values of [`crate::statistics::DecisionStats`], at most [`Decision::MOST_COUNTS`] values.
     pub counts: Vec<u64>,
-    /// The cell's certificate in bytes; empty when the job keeps none.
+    /// The cell's certificate in bytes; empty if the job stores no certificates.
     pub certificate: Vec<u8>,
 }
 
 impl Decision {
-    /// Most counts of a decision.
+    /// Maximum number of counts of a decision.
     pub const MOST_COUNTS: usize = 64;
 
-    /// The number of queries that were asked.
+    /// Returns the number of exact queries.
     pub fn queries(&self) -> u64 {
         self.count("exact_queries")
     }
 
-    /// The number of rays that looked for witnesses.
+    /// Returns the number of rays that searched for witnesses.
     pub fn rays(&self) -> u64 {
         self.count("exact_rays")
     }
@@ -123,23 +127,24 @@ impl Decision {
     }
 }
 
-/// The triangles that one visibility cube saw, with the angular strata they were seen in (Nirenstein and
-/// Blake 2004, section 3.5).
+/// The triangles that one visibility cube saw, with the angular strata in which they were seen (Nirenstein
+/// and Blake 2004, section 3.5).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VisibilitySample {
-    /// Ids of the triangles seen, in ascending order.
+    /// The ids of the seen triangles, in ascending order.
     pub ids: Vec<u32>,
-    /// For each id the set of strata in which it was seen: bit k for stratum k.
+    /// For each id, the set of strata in which the triangle was seen: bit k for stratum k.
     pub strata: Vec<u32>,
-    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen. It
-    /// decides whether the sample is inside a solid (Nirenstein and Blake 2004, section 3.6).
+    /// The triangle that covers most pixels, the lowest id among equals; `None` if only sky was seen. This
+    /// triangle determines whether the sample is inside a solid (Nirenstein and Blake 2004, section 3.6).
     pub dominant: Option<u32>,
-    /// The ids of all pixels, for the measure Err′ alone: 6·n·n ids, face by face, row by row.
+    /// The ids of all pixels, only for the measure Err′: 6·n·n ids for a face of n·n pixels, face by face,
+    /// row by row.
     pub pixels: Option<Arc<[u32]>>,
 }
 
 impl VisibilitySample {
-    /// Gathers (id, strata mask, pixel count) entries, in any order and with repetitions, into a sample.
+    /// Creates a sample from (id, strata mask, pixel count) entries, in any order and with repetitions.
     pub fn from_runs(mut runs: Vec<(u32, u32, u32)>) -> Self {
         runs.sort_unstable_by_key(|r| r.0);
         let mut sample = Self::default();
@@ -156,8 +161,8 @@ impl VisibilitySample {
         sample
     }
 
-    /// The sample with more triangles, as (id, strata mask) with repetitions. Pixels and the triangle that
-    /// covers most of them stay.
+    /// Returns the sample with more triangles, given as (id, strata mask) with repetitions. The pixels and
+    /// the dominant triangle do not change.
     #[must_use]
     pub fn with(self, more: impl Iterator<Item = (u32, u32)>) -> Self {
         let Self {

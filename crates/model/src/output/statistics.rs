@@ -1,57 +1,58 @@
-//! Statistics of a cell as named columns: how sampling and exact queries came to its set.
+//! Statistics of a cell as named columns: the work of sampling and exact queries that led to the cell's set.
 //!
-//! Every number is the same on every run of a job. Times differ from run to run and are kept with the tile
-//! instead. The names are those of a result's columns; a name in this file never changes its meaning.
+//! Every number is the same in every run of a job. Times differ between runs and are stored with the tile
+//! instead. The names equal the names of a result's columns. The meaning of a name in this file never
+//! changes.
 
 /// The kinds of sight lines, in the order of [`CellStats::rays`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineKind {
-    /// Spread evenly over directions and the cell: the fraction that meets something new estimates the
-    /// missing part.
+    /// Lines that are uniform over directions and the cell. The fraction that meets a new triangle estimates
+    /// the missed fraction.
     Uniform,
-    /// From the eye that saw a new triangle to the triangle's unseen neighbours.
+    /// Lines from the origin that showed a new triangle to the triangle's unseen neighbours.
     Flood,
-    /// To a triangle that the next cell sees and this cell does not.
+    /// Lines to a triangle that a neighbouring cell sees and this cell does not.
     Candidate,
-    /// Held out from the search, for a bound.
+    /// Lines that are held out from the search, for a bound.
     Check,
 }
 
-/// How sampling with sight lines came to a cell's set.
+/// The statistics of the sampling of a cell with sight lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CellStats {
-    /// Rays cast from the cell, by [`LineKind`].
+    /// The number of rays cast from the cell, by [`LineKind`].
     pub rays: [u64; 4],
-    /// Triangles that these rays were the first to show to the cell, as of the last barrier before each ray;
-    /// for held-out lines, the number of lines that met a triangle outside the set.
+    /// The number of triangles that these rays were the first to show to the cell since the last barrier. For
+    /// held-out lines, the number of lines that met a triangle outside the set.
     pub finds: [u64; 4],
-    /// Rounds in which the cell took part.
+    /// The number of rounds that sampled the cell.
     pub rounds: u32,
-    /// Uniform rays of its last round.
+    /// The number of uniform rays of the cell's last round.
     pub last_rays: u64,
-    /// Those of them that met a triangle outside the set.
+    /// The number of uniform rays of the last round that met a triangle outside the set.
     pub last_misses: u64,
-    /// Held-out lines of the last check, 0 without a bound.
+    /// The number of held-out lines of the last look; 0 without a bound.
     pub bound_lines: u64,
-    /// Those of them that met a triangle outside the set.
+    /// The number of held-out lines of the last look that met a triangle outside the set.
     pub bound_misses: u64,
-    /// The number of that check, from 1.
+    /// The number of the last look, starting at 1.
     pub bound_look: u32,
-    /// Held-out lines of the last check of the cells that this one sees, 0 without a bound.
+    /// The number of held-out lines of the last look at the cell's pairs; 0 without a bound.
     pub bound_cell_lines: u64,
-    /// Those of them that crossed a cell that is no pair with this one.
+    /// The number of these lines that crossed a cell that is not a pair with this cell.
     pub bound_cell_misses: u64,
-    /// The number of that check, from 1.
+    /// The number of the last look at the cell's pairs, starting at 1.
     pub bound_cell_look: u32,
-    /// Whether the time or the rounds ended before the cell reached the target.
+    /// True if the time or the rounds ended before the cell reached the target.
     pub unfinished: bool,
-    /// Whether the cell ended within a tolerance above the target, because it took several times the work of
-    /// the average cell. The column's name is `spared`.
+    /// True if the cell ended within a tolerance above the target, because the cell cost several times the
+    /// work of the average cell. The column's name is `spared`.
     pub raised_tolerance: bool,
 }
 
 impl CellStats {
-    /// The columns' names, in the order of [`CellStats::numbers`].
+    /// The names of the columns, in the order of [`CellStats::numbers`].
     pub const NAMES: [&'static str; 19] = [
         "rays_uniform",
         "rays_flood",
@@ -74,7 +75,7 @@ impl CellStats {
         "bound_cell_look",
     ];
 
-    /// The statistics of a cell that was joined from two cells, each of which was sampled alone.
+    /// Returns the statistics of a cell that joins two cells that were sampled separately.
     pub fn joined(&self, other: &Self) -> Self {
         let sums = |a: [u64; 4], b: [u64; 4]| std::array::from_fn(|k| a[k] + b[k]);
         Self {
@@ -83,7 +84,7 @@ impl CellStats {
             rounds: self.rounds.max(other.rounds),
             last_rays: self.last_rays + other.last_rays,
             last_misses: self.last_misses + other.last_misses,
-            // A bound belongs to one cell alone.
+            // A bound holds only for one cell.
             bound_lines: 0,
             bound_misses: 0,
             bound_look: 0,
@@ -95,7 +96,7 @@ impl CellStats {
         }
     }
 
-    /// All values, in the order of [`CellStats::NAMES`].
+    /// Returns all values, in the order of [`CellStats::NAMES`].
     pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
         let ([a, b, c, d], [e, f, g, h]) = (self.rays, self.finds);
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
@@ -113,7 +114,8 @@ impl CellStats {
         [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s]
     }
 
-    /// The inverse of [`CellStats::numbers`]; `None` when a number is outside its field's range.
+    /// Creates statistics from [`CellStats::numbers`]. Returns `None` if a number is outside its field's
+    /// range.
     pub fn from_numbers(
         [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s]: [u64; Self::NAMES.len()],
     ) -> Option<Self> {
@@ -136,7 +138,7 @@ impl CellStats {
     }
 }
 
-/// Defines statistics whose columns are its fields.
+/// Defines statistics whose columns are their fields.
 macro_rules! columns {
     (
         $(#[$about:meta])*
@@ -149,10 +151,10 @@ macro_rules! columns {
         }
 
         impl $statistics {
-            /// The columns' names, in the order of [`Self::numbers`].
+            /// The names of the columns, in the order of [`Self::numbers`].
             pub const NAMES: [&'static str; [$($name),+].len()] = [$($name),+];
 
-            /// All values, in the order of [`Self::NAMES`].
+            /// Returns all values, in the order of [`Self::NAMES`].
             pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
                 [$(self.$field),+]
             }
@@ -161,48 +163,49 @@ macro_rules! columns {
 }
 
 columns! {
-    /// How exact queries decided a cell. Queries about the box around a cell group count with the group's
-    /// first cell.
+    /// The statistics of the exact queries of a cell. Queries about the box around a cell group count with
+    /// the group's first cell.
     DecisionStats {
-        /// Rays cast for witnesses.
+        /// The number of rays cast for witnesses.
         rays = "exact_rays",
-        /// Boxes, polygons and triangles that were the target of a query.
+        /// The number of queries, whose targets are boxes, polygons and triangles.
         queries = "exact_queries",
-        /// Boxes proved hidden as a whole.
+        /// The number of boxes proved hidden as a whole.
         boxes = "exact_boxes_hidden",
-        /// Triangles hidden by the closed surface they belong to, without those hidden from a cell group.
+        /// The number of triangles hidden by their own closed surface, excluding triangles hidden from a
+        /// whole cell group.
         enclosed = "exact_enclosed",
-        /// All triangles proved hidden.
+        /// The number of all triangles proved hidden.
         hidden = "exact_hidden",
-        /// Visible triangles that sampling had not shown.
+        /// The number of visible triangles that sampling had not shown.
         missed = "exact_missed",
-        /// Hidden triangles that sampling had shown, through a seam.
+        /// The number of hidden triangles that sampling had shown, through a seam.
         refuted = "exact_refuted",
-        /// Undecided triangles whose query was stopped.
+        /// The number of undecided triangles whose query was stopped.
         undecided_stopped = "undecided_stopped",
-        /// Undecided triangles whose query reached the limit of regions.
+        /// The number of undecided triangles whose query reached the limit of regions.
         undecided_regions = "undecided_regions",
-        /// Undecided triangles whose query reached the limit of memory.
+        /// The number of undecided triangles whose query reached the limit of memory.
         undecided_memory = "undecided_memory",
-        /// Undecided triangles whose polygons were divided too often.
+        /// The number of undecided triangles whose polygons were divided too often.
         undecided_divisions = "undecided_halvings",
-        /// Regions of line space that the queries examined.
+        /// The number of regions of line space that the queries examined.
         regions = "exact_regions",
-        /// Sight lines that the queries traced.
+        /// The number of sight lines that the queries traced.
         lines = "exact_lines",
-        /// Occluders that the queries subtracted.
+        /// The number of occluders that the queries subtracted.
         occluders = "exact_occluders",
-        /// Signs decided by the filter in doubles.
+        /// The number of signs of Klein forms decided by the filter in doubles.
         signs_filtered = "signs_filtered",
-        /// Signs decided in double-doubles.
+        /// The number of signs decided in double-doubles.
         signs_refined = "signs_refined",
-        /// Signs known from the lines that a ray lies on.
+        /// The number of spanned signs: known to be 0 without arithmetic.
         signs_spanned = "signs_spanned",
-        /// Signs decided in integers.
+        /// The number of signs decided in integers.
         signs_exact = "signs_exact",
-        /// Greatest number of vectors of line space that a query held at once.
+        /// The maximum number of vectors of line space that a query stored at once.
         vectors = "exact_vectors",
-        /// Triangles hidden from the box around the cell's group.
+        /// The number of triangles hidden from the box around the cell's group, and so from the cell.
         above = "exact_above",
     }
 }
@@ -210,7 +213,7 @@ columns! {
 /// The number of a cell's columns: visibility cubes, [`CellStats`], [`DecisionStats`].
 pub const COLUMNS: usize = 1 + CellStats::NAMES.len() + DecisionStats::NAMES.len();
 
-/// The names of a cell's columns, in the order of [`crate::CellSet::row`].
+/// Returns the names of a cell's columns, in the order of [`crate::CellSet::row`].
 pub fn column_names() -> impl Iterator<Item = &'static str> {
     ["samples"]
         .into_iter()
@@ -223,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_their_names_and_come_back() {
+    fn numbers_match_names_and_round_trip() {
         let numbers: [u64; CellStats::NAMES.len()] = std::array::from_fn(|i| {
             if (14..16).contains(&i) {
                 15 - i as u64
@@ -282,7 +285,7 @@ mod tests {
                 && number_named("spared") == 0
                 && !stats.raised_tolerance
         );
-        // Beyond their ranges.
+        // Numbers outside the ranges of their fields.
         for i in [8, 13, 14, 15, 18] {
             let mut wrong = numbers;
             wrong[i] = u64::MAX;

@@ -1,16 +1,16 @@
-//! Buildings, and segments that exact signs are sure of.
+//! Random buildings, and segments whose first triangle exact signs determine.
 
 #![allow(dead_code, reason = "no test uses all of it")]
 
 use glam::{Quat, Vec3};
-use sightline_exact::{Cell, ExactScene, Task, decide};
+use sightline_exact::{Cell, CellTask, ExactScene, decide};
 use sightline_geometry::predicates::crossed_alone;
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
-use sightline_portals::{Limits, Partition, sights};
+use sightline_portals::{EnclosureLimits, Partition, sights};
 use sightline_scene::{Object, Scene, Triangle};
 
-/// Two triangles a quad; corners in order.
+/// Creates the two triangles of a quad from its corners in order.
 fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     let v = v.map(Vec3::from);
     [
@@ -23,7 +23,7 @@ fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     ]
 }
 
-/// A rectangle across an axis.
+/// Creates a rectangle across an axis.
 pub fn across(axis: usize, at: f32, u: [f32; 2], v: [f32; 2]) -> [Triangle; 2] {
     let corner = |s: usize, t: usize| {
         let mut p = [at; 3];
@@ -43,7 +43,8 @@ pub fn scene(triangles: Vec<Triangle>) -> Scene {
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
-/// A building of 3×2×2 rooms: walls with random doors and windows, some furniture, turned by an angle.
+/// Creates a building of 3×2×2 rooms: walls with random doors and windows, some furniture, turned by an
+/// angle.
 pub fn building(seed: u64, angle: f32) -> Scene {
     let mut random = SplitMix64::new(seed);
     let mut unit = || random.unit_f32();
@@ -60,7 +61,7 @@ pub fn building(seed: u64, angle: f32) -> Scene {
                         all.extend(across(axis, at, [lo[0], hi[0]], [lo[1], hi[1]]));
                         continue;
                     }
-                    // An opening in the wall.
+                    // This wall has an opening.
                     let [a, b] = [lo[0], lo[1]].map(|x| x + 0.1 + 0.4 * unit());
                     let (c, d) = (a + 0.1 + 0.2 * unit(), b + 0.1 + 0.2 * unit());
                     all.extend(across(axis, at, [lo[0], a], [lo[1], hi[1]]));
@@ -87,32 +88,38 @@ pub fn building(seed: u64, angle: f32) -> Scene {
     )
 }
 
-/// Where a point of a building is in the building turned by an angle.
+/// Returns the position of a building's point in the building turned by an angle.
 pub fn turned(p: Vec3, angle: f32) -> Vec3 {
     let turn = Quat::from_euler(glam::EulerRot::XYZ, angle, 0.7 * angle, 0.3 * angle);
     if angle == 0.0 { p } else { turn * p }
 }
 
-/// The triangle that a segment crosses first, where exact signs are sure of it.
+/// Returns the only triangle that a segment crosses, or `None` if exact signs do not determine it.
 pub fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
     crossed_alone(scene.triangles().iter().map(|t| t.v), p, q)
 }
 
-/// What is listed from cells in the middles of all rooms of a building.
+/// The numbers of triangles listed from cells in the middles of all rooms of a building.
 pub struct Lists {
-    /// Parts of space.
+    /// The number of leaves of the partition.
     pub leaves: usize,
-    /// Triangles by portals, of all cells together.
+    /// The number of triangles listed by portals, summed over all cells.
     pub portals: usize,
-    /// Triangles by exact queries.
+    /// The number of triangles listed by exact queries, summed over all cells.
     pub exact: usize,
 }
 
-/// Lists a building that was turned by an angle.
+/// Counts the triangles listed in a building that was turned by an angle.
 pub fn lists(seed: u64, angle: f32) -> Lists {
     let scene = building(seed, angle);
-    let partition =
-        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition = Partition::new(
+        &scene,
+        None,
+        scene.bounds(),
+        EnclosureLimits::default(),
+        &|| false,
+    )
+    .unwrap();
     let prepared = ExactScene::prepare(&scene).unwrap();
     let mut lists = Lists {
         leaves: partition.leaves(),
@@ -125,14 +132,14 @@ pub fn lists(seed: u64, angle: f32) -> Lists {
         let middle = turned(place + 0.5, angle);
         let cell = Aabb::new(middle - 0.1, middle + 0.1);
         let listed = sights(&partition, cell, false, &|| false).unwrap();
-        let decided = decide(&Task {
+        let decided = decide(&CellTask {
             scene: &prepared,
             cell: Cell::new(cell.min, cell.max).unwrap(),
-            places: None,
+            region: None,
             seen: &[],
             above: &[],
             listed: Some(&listed),
-            limits: sightline_exact::Limits::default(),
+            limits: sightline_exact::QueryLimits::default(),
             seed: 1,
             keep: false,
             stop: &|| false,

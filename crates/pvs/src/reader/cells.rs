@@ -1,5 +1,5 @@
-//! Which cells see which, at run time: moving things are culled by the cells they are in, and a server
-//! decides which client may know of which.
+//! Cell-to-cell visibility at run time. Engines cull moving objects by the cells that contain them, and
+//! servers use the relation to hide clients from each other.
 
 use super::Pvs;
 use crate::CellPairs;
@@ -8,11 +8,12 @@ use crate::layout::Section;
 use crate::tree::Node;
 
 impl Pvs {
-    /// Which cells see which; `None` when the file does not say. The first call decodes them, which takes
-    /// cells² / 8 bytes of memory.
+    /// Returns the cell-to-cell relations, or `None` if the file has none. The first call decodes the
+    /// relations, which needs cells² / 8 bytes of memory per relation.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] for a file that was tampered with, [`PvsError::Memory`].
+    /// [`PvsError::Malformed`] if the relations are malformed although the checksums match.
+    /// [`PvsError::Memory`] if memory is insufficient.
     pub fn cell_pairs(&self) -> Result<Option<&CellPairs>, PvsError> {
         if let Some(pairs) = self.pairs.get() {
             return Ok(pairs.as_ref());
@@ -25,12 +26,14 @@ impl Pvs {
         Ok(self.pairs.get_or_init(|| decoded).as_ref())
     }
 
-    /// Whether a point of cell `a` and a point of cell `b` may see each other: a segment between them was
-    /// free, or it is undecided whether there is one. Every cell sees itself. Nothing is known of two cells
-    /// without viewpoints, so they count as seeing each other.
+    /// Returns true if a point of cell `a` and a point of cell `b` may see each other. This is the case if an
+    /// unobstructed segment between such points was found, or if the existence of such a segment is
+    /// undecided. Every cell sees itself. The file contains no relation for two cells without viewpoints, so
+    /// two such cells count as seeing each other.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`], [`PvsError::NoPairs`], and as [`Self::cell_pairs`].
+    /// [`PvsError::NoCell`] if a cell does not exist. [`PvsError::NoPairs`] if the file has no relations.
+    /// Also the errors of [`Self::cell_pairs`].
     pub fn sees(&self, a: u32, b: u32) -> Result<bool, PvsError> {
         self.leaf(a)?;
         self.leaf(b)?;
@@ -38,13 +41,14 @@ impl Pvs {
         Ok(self.pairs()?.visible.has(a, b) || unknown)
     }
 
-    /// Whether a point of a cell and a point of the box from `min` to `max` (world space) may see each
-    /// other, by the cells that the box meets. Nothing is known of places outside the view box, so a box
-    /// that reaches beyond it counts as seen, and so does one with a coordinate that is not a number, and
-    /// everything from a cell without viewpoints.
+    /// Returns true if a point of a cell and a point of a box may see each other. The box extends from `min`
+    /// to `max` in world space, and the function tests the cells that the box meets. Boxes that reach beyond
+    /// the view box count as visible, because the file has no relations outside the view box. A box with a
+    /// coordinate that is not a number counts as visible, too. From a cell without viewpoints, every box is
+    /// visible.
     ///
     /// # Errors
-    /// As [`Self::sees`].
+    /// The errors of [`Self::sees`].
     pub fn sees_box(&self, cell: u32, min: [f32; 3], max: [f32; 3]) -> Result<bool, PvsError> {
         self.leaf(cell)?;
         let visible = &self.pairs()?.visible;
@@ -55,7 +59,8 @@ impl Pvs {
         if !(0..3).all(|a| lo[a] <= min[a] && min[a] <= max[a] && max[a] <= hi[a]) {
             return Ok(true);
         }
-        // The cells below a node follow one another, so a node that the box covers is asked about at once.
+        // The cells below a node have consecutive numbers, so one test suffices for a node that the box
+        // covers.
         let mut open = [(0u32, lo, hi); crate::MAX_DEPTH + 1];
         let mut count = 1;
         while count > 0 {
@@ -76,7 +81,7 @@ impl Pvs {
             let a = usize::from(axis);
             let (mut below, mut above) = (hi, lo);
             (below[a], above[a]) = (at, at);
-            // Each level adds one node at most, and the tree has at most that many levels.
+            // Each level adds at most one node, so the depth of the tree bounds the stack.
             if max[a] >= at {
                 open[count] = (upper, above, hi);
                 count += 1;
@@ -89,7 +94,7 @@ impl Pvs {
         Ok(false)
     }
 
-    /// Bytes of the relations in the file; 0 when it has none.
+    /// Returns the size of the relations in the file in bytes, or 0 if the file has none.
     pub fn pair_bytes(&self) -> u64 {
         self.part(Section::CellPairs).len() as u64
     }

@@ -1,10 +1,10 @@
-//! Decoding a cell's sets: as ids, runs, a bit set, objects, or the items that the result names.
+//! Decoder of a cell's sets: as ids, runs, a bit set, objects, or the items that the result names.
 //!
-//! A cell's set is the exclusive or of the sets on its path from the root, up to the first set that stands
-//! for itself. It is decoded on the boundaries of runs: each set flips the bits at which its runs start and
-//! end, and the prefix parity of these bits gives the members. The header's number of items must not decide
-//! how much memory is allocated: where a bit for each item would take many times more bytes than the coded
-//! sets, the boundaries are sorted instead.
+//! A cell's set is the exclusive or of the sets on its path from the leaf to the root, up to the first set in
+//! absolute form. The decoder works on the boundaries of runs: each set flips the bits at which its runs
+//! start and end, and the prefix parity of these bits gives the members. The header's number of items must
+//! not decide how much memory is allocated. If one bit per item would need many times more bytes than the
+//! coded sets, the decoder sorts the boundaries instead.
 
 use std::ops::Range;
 
@@ -15,51 +15,51 @@ use crate::items::ItemTable;
 use crate::layout::{Section, u64_at};
 use crate::runs;
 
-/// Largest bit set, in bytes, that is allocated whatever the size of the coded sets.
+/// The maximum size of a bit set that is allocated regardless of the size of the coded sets, in bytes.
 const MOST_FREE_BYTES: usize = 4 << 20;
-/// Largest number of bytes of boundaries for each byte of a coded set: a run has a code of at least one bit
+/// The maximum number of bytes of boundaries per byte of a coded set. A run has a code of at least one bit
 /// for its gap and one for its length.
 const MOST_GROWTH: usize = 32;
 
-/// How many bytes the nodes on one cell's root path take.
+/// The sizes of the coded sets on the path from a cell's leaf to the root, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NodeBytes {
-    /// The leaf's own set.
+    /// The size of the leaf's own set.
     pub own: u64,
-    /// All sets that are read to decode the cell, the leaf's set included.
+    /// The size of all sets that are read to decode the cell, including the leaf's set.
     pub path: u64,
 }
 
 impl Pvs {
-    /// The triangles to draw from a cell: `ids` becomes their ascending ids.
+    /// Stores the triangles to draw from a cell in `ids`, as ascending ids.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`], [`PvsError::Memory`], and [`PvsError::Malformed`] for a file that was tampered
-    /// with.
+    /// [`PvsError::NoCell`] if the cell does not exist. [`PvsError::Memory`] if memory is insufficient.
+    /// [`PvsError::Malformed`] if the set is malformed although the checksums match.
     pub fn visible(&self, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         self.ids(Section::Visible, cell, ids)
     }
 
-    /// The items to draw from a cell: `items` becomes their ascending numbers. They are triangles, clusters
-    /// or objects, as [`Self::granularity`] says.
+    /// Stores the items to draw from a cell in `items`, as ascending numbers. The items are triangles,
+    /// clusters or objects, depending on [`Self::granularity`].
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn visible_items(&self, cell: u32, items: &mut Vec<u32>) -> Result<(), PvsError> {
         self.item_ids(Section::Visible, cell, items)
     }
 
-    /// The items of the visible set that were neither seen nor proved hidden: `items` becomes their ascending
+    /// Stores the items of the visible set that were neither seen nor proved hidden in `items`, as ascending
     /// numbers.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn undecided_items(&self, cell: u32, items: &mut Vec<u32>) -> Result<(), PvsError> {
         self.item_ids(Section::Undecided, cell, items)
     }
 
-    /// The triangles of an item: `ids` becomes their ascending ids. Triangles that are never visible are left
-    /// out. An item that does not exist has none.
+    /// Stores the triangles of an item in `ids`, as ascending ids. Skips triangles that are never visible. An
+    /// item that does not exist has no triangles.
     pub fn item_triangles(&self, item: u32, ids: &mut Vec<u32>) {
         ids.clear();
         ids.extend(
@@ -69,7 +69,8 @@ impl Pvs {
         );
     }
 
-    /// [`Self::item_triangles`] as the boundaries of maximal runs ([`crate::runs`]).
+    /// Returns the triangles of an item like [`Self::item_triangles`], as the boundaries of maximal runs
+    /// ([`crate::runs`]).
     pub fn item_bounds(&self, item: u32) -> Vec<u32> {
         if item < self.item_count() {
             self.items.triangles(&[item, item + 1], &self.objects)
@@ -78,30 +79,30 @@ impl Pvs {
         }
     }
 
-    /// The triangles of the visible set that were neither seen nor proved hidden: `ids` becomes their
+    /// Stores the triangles of the visible set that were neither seen nor proved hidden in `ids`, as
     /// ascending ids.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn undecided(&self, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         self.ids(Section::Undecided, cell, ids)
     }
 
-    /// The triangles to draw from a cell as maximal runs of consecutive ids, ascending: the ranges of draw
-    /// calls.
+    /// Stores the triangles to draw from a cell in `runs`, as maximal runs of consecutive ids, ascending.
+    /// Each run is the range of a draw call.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn visible_runs(&self, cell: u32, runs: &mut Vec<Range<u32>>) -> Result<(), PvsError> {
         runs.clear();
         self.each_run(Section::Visible, cell, |run| runs.push(run))
     }
 
-    /// The triangles to draw from a cell as a bit set: bit `id % 64` of word `id / 64`. `bits` must have ⌈N /
-    /// 64⌉ words; all are written. This is the fastest form.
+    /// Stores the triangles to draw from a cell in `bits`: bit `id % 64` of word `id / 64`. `bits` must have
+    /// ⌈N / 64⌉ words for N triangles, and the function writes all of them. This is the fastest form.
     ///
     /// # Errors
-    /// As [`Self::visible`], and [`PvsError::BitsLength`].
+    /// The errors of [`Self::visible`], and [`PvsError::BitsLength`] if `bits` has the wrong length.
     pub fn visible_bits(&self, cell: u32, bits: &mut [u64]) -> Result<(), PvsError> {
         let needed = self.words();
         if bits.len() != needed {
@@ -129,19 +130,19 @@ impl Pvs {
         Ok(())
     }
 
-    /// The objects of which at least one triangle is visible: `objects` becomes their ascending indices.
+    /// Stores the objects with at least one visible triangle in `objects`, as ascending indices.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn visible_objects(&self, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
         self.objects_of(Section::Visible, cell, objects)
     }
 
-    /// Reads the objects of which at least one triangle is undecided and none is known to be visible:
-    /// `objects` becomes their ascending indices, which are some of [`Self::visible_objects`].
+    /// Stores the objects with at least one undecided triangle and no triangle known to be visible in
+    /// `objects`, as ascending indices. These objects are a subset of [`Self::visible_objects`].
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn undecided_objects(&self, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
         self.objects_of(Section::Undecided, cell, objects)?;
         if objects.is_empty() || matches!(self.items, ItemTable::Objects { .. }) {
@@ -158,27 +159,27 @@ impl Pvs {
         Ok(())
     }
 
-    /// Returns the triangles to draw from a cell as the boundaries of maximal runs: start, end, start, end,
-    /// …, ends exclusive ([`crate::runs`]).
+    /// Returns the triangles to draw from a cell as the boundaries of maximal runs. The form is start, end,
+    /// start, end, …, with exclusive ends ([`crate::runs`]).
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn visible_bounds(&self, cell: u32) -> Result<Vec<u32>, PvsError> {
         self.bounds(Section::Visible, cell)
     }
 
-    /// Returns the undecided triangles of a cell as [`Self::visible_bounds`].
+    /// Returns the undecided triangles of a cell in the form of [`Self::visible_bounds`].
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn undecided_bounds(&self, cell: u32) -> Result<Vec<u32>, PvsError> {
         self.bounds(Section::Undecided, cell)
     }
 
-    /// Returns the number of triangles to draw from a cell. Counting needs no memory for their ids.
+    /// Returns the number of triangles to draw from a cell. The function does not store their ids.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn visible_count(&self, cell: u32) -> Result<u32, PvsError> {
         self.count(Section::Visible, cell)
     }
@@ -186,7 +187,7 @@ impl Pvs {
     /// Returns the number of undecided triangles of a cell.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub fn undecided_count(&self, cell: u32) -> Result<u32, PvsError> {
         self.count(Section::Undecided, cell)
     }
@@ -194,17 +195,18 @@ impl Pvs {
     /// Returns the number of items to draw from a cell.
     ///
     /// # Errors
-    /// As [`Self::visible`].
+    /// The errors of [`Self::visible`].
     pub(super) fn visible_item_count(&self, cell: u32) -> Result<usize, PvsError> {
         let mut count = 0;
         self.each_item_run(Section::Visible, cell, |run| count += run.len())?;
         Ok(count)
     }
 
-    /// The bytes that a cell's visible set takes in the file.
+    /// Returns the size of a cell's visible set in the file, in bytes.
     ///
     /// # Errors
-    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] for a file that was changed after opening.
+    /// [`PvsError::NoCell`] if the cell does not exist. [`PvsError::Malformed`] if the file was changed after
+    /// opening.
     pub fn visible_bytes(&self, cell: u32) -> Result<NodeBytes, PvsError> {
         let leaf = self.leaf(cell)?;
         let own = self.set(Section::Visible, leaf)?.len() as u64;
@@ -214,7 +216,7 @@ impl Pvs {
         })
     }
 
-    /// Returns the bytes of the sets that are read to decode the set of a leaf.
+    /// Returns the size of the sets that are read to decode the set of a leaf, in bytes.
     fn path_bytes(&self, section: Section, leaf: u32) -> Result<usize, PvsError> {
         let mut bytes = 0;
         for node in self.tree.path(leaf) {
@@ -227,7 +229,8 @@ impl Pvs {
         Ok(bytes)
     }
 
-    /// Bytes of the whole file, of its visible sets and of its undecided sets (the sets with their offsets).
+    /// Returns the sizes in bytes of the file, of its visible sets and of its undecided sets (sets with
+    /// offsets).
     pub fn file_bytes(&self) -> [u64; 3] {
         let part = |s| self.part(s).len() as u64;
         [
@@ -237,17 +240,17 @@ impl Pvs {
         ]
     }
 
-    /// The bytes of the visible sets as they are in the file, for comparing ways of coding them.
+    /// Returns the bytes of the visible sets as stored in the file, for comparisons of set codes.
     pub fn visible_section(&self) -> &[u8] {
         self.part(Section::Visible)
     }
 
-    /// Words of a bit set over all triangles.
+    /// Returns the number of words of a bit set over all triangles.
     fn words(&self) -> usize {
         (self.layout.triangles as usize).div_ceil(64)
     }
 
-    /// Words of a bit set over all items.
+    /// Returns the number of words of a bit set over all items.
     fn item_words(&self) -> usize {
         (self.item_count() as usize).div_ceil(64)
     }
@@ -323,8 +326,8 @@ impl Pvs {
         self.each_run(section, cell, |run| self.touched(run, &mut next, objects))
     }
 
-    /// Appends the objects that a run touches. The runs of a set come in ascending order, and `next` is the
-    /// first object that no earlier run has touched.
+    /// Appends the objects that a run touches. The runs of a set must come in ascending order, and `next`
+    /// must be the first object that no earlier run has touched.
     fn touched(&self, run: Range<u32>, next: &mut usize, objects: &mut Vec<u32>) {
         // Objects tile the triangles in order: skip the objects that end before the run.
         *next += self.objects[*next..].partition_point(|o| o.first + o.count <= run.start);
@@ -350,30 +353,29 @@ impl Pvs {
         Ok(count)
     }
 
-    /// The coded set of a node.
+    /// Returns the coded set of a node.
     fn set(&self, section: Section, node: u32) -> Result<&[u8], PvsError> {
         let bytes = self.part(section);
         let table = (self.layout.nodes as usize + 1) * 8;
         let at = |i: usize| usize::try_from(u64_at(bytes, i * 8)).ok();
-        // Checked on opening, and again here: it is cheap, and a file that was changed since then must not
-        // panic.
+        // Opening has checked the offsets. Check them again: this is cheap, and a file that was changed since
+        // then must not cause a panic.
         match (at(node as usize), at(node as usize + 1)) {
             (Some(start), Some(end)) => bytes[table..].get(start..end),
             _ => None,
         }
-        .ok_or_else(|| section.malformed("an offset is out of range"))
+        .ok_or_else(|| section.malformed("the offset of a node's set is out of range"))
     }
 
-    /// Marks in zeroed words where the runs of a cell's set start and end. The exclusive or of sets is the
-    /// exclusive or of their boundaries, so each set on the root path flips its own. An end after the last
-    /// bit of the last word is left out: no bit beyond the last triangle is ever a member.
+    /// Marks the starts and ends of the runs of a cell's set in zeroed words. The exclusive or of sets is the
+    /// exclusive or of their boundaries, so each set on the root path flips its own boundaries. An end after
+    /// the last bit of the last word is omitted, because no bit beyond the last triangle is ever a member.
     fn boundaries(&self, section: Section, cell: u32, words: &mut [u64]) -> Result<(), PvsError> {
         self.each_coded_run(section, cell, |start, end| {
             let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
             let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
             if first == last {
-                // Most runs are short. One access is faster than two to the same word, which depend on
-                // each other.
+                // Most runs are short. One access is faster than two dependent accesses to the same word.
                 if let Some(word) = words.get_mut(first) {
                     *word ^= mark_start ^ mark_end;
                 }
@@ -410,7 +412,8 @@ impl Pvs {
         Ok(())
     }
 
-    /// Decodes the set of a cell into memory that is in proportion to its coded bytes, or small.
+    /// Decodes the set of a cell. The memory is proportional to the coded bytes, or at most
+    /// [`MOST_FREE_BYTES`].
     fn marks(&self, section: Section, cell: u32) -> Result<Marks, PvsError> {
         let leaf = self.leaf(cell)?;
         let bytes = if self.part(section).is_empty() {
@@ -430,8 +433,8 @@ impl Pvs {
         Ok(Marks::Words(words))
     }
 
-    /// Returns the boundaries of the items of a cell's set. A boundary of two sets on the path is none of the
-    /// exclusive or.
+    /// Returns the boundaries of the items of a cell's set. A boundary of an even number of sets on the path
+    /// is not a boundary of the exclusive or.
     fn sorted(&self, section: Section, cell: u32) -> Result<Vec<u32>, PvsError> {
         let mut all: Vec<u32> = Vec::new();
         let mut fits = true;
@@ -475,7 +478,7 @@ impl Pvs {
         Ok(())
     }
 
-    /// The same for the items of a cell's set.
+    /// Calls `each` with the maximal runs of the items of a cell's set, ascending.
     fn each_item_run(
         &self,
         section: Section,
@@ -513,14 +516,15 @@ impl Pvs {
 
 /// The decoded boundaries of a cell's set.
 enum Marks {
-    /// A bit for each item at which a run starts or ends.
+    /// One bit per item, set if a run starts or ends at the item.
     Words(Vec<u64>),
     /// The ascending boundaries.
     Bounds(Vec<u32>),
 }
 
-/// The members of a word of marked boundaries: each bit becomes the parity of the marks at or before it.
-/// `inside` is all ones when the word before ended within a run, else 0.
+/// Returns the members of a word of marked boundaries: each bit becomes the parity of the marks at or before
+/// this bit. `inside` must be all ones if the word before ended within a run, and 0 otherwise. The function
+/// updates `inside` for the next word.
 fn members(marks: u64, inside: &mut u64) -> u64 {
     let mut x = marks;
     if x != 0 {

@@ -1,56 +1,58 @@
-//! A helper of a crew: computes the items that the leader gives it, and takes the outcomes of the phases from
-//! the leader.
+//! A helper of a crew: computes the items that the leader assigns, and receives the outcomes of the phases
+//! from the leader.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use rayon::prelude::*;
+use sightline_numbers::ids::PhaseIndex;
 
 use super::member::{Crew, Phase};
 use super::queue::IN_HAND;
 use crate::context::Watcher;
 use crate::error::TileError;
 
-/// A helper that waits for the leader looks this often whether it is told to stop.
+/// The interval at which a waiting helper checks if its watcher has cancelled the tile.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// What a helper hears.
+/// A message to a helper.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ToHelper {
     /// Items of a phase to compute.
     Take {
-        /// The number of the phase, from 0.
-        phase: u32,
-        /// The items.
+        /// The number of the phase, starting at 0.
+        phase: PhaseIndex,
+        /// The indices of the items in the phase.
         items: Vec<u32>,
     },
-    /// The outcome of a phase. The outcomes of all phases come, in their order.
+    /// The outcome of a phase. A helper receives the outcomes of all phases, in their order.
     Outcome {
-        /// The number of the phase.
-        phase: u32,
-        /// The bytes of [`Phase::outcome`].
+        /// The phase.
+        phase: PhaseIndex,
+        /// The encoded results of all items, from [`Phase::outcome`].
         bytes: Vec<u8>,
     },
-    /// Nothing more is needed.
+    /// The work has ended; the helper is no longer needed.
     End,
 }
 
-/// What a helper says.
+/// A message from a helper.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FromHelper {
-    /// It is ready for items of a phase. Those of later phases come unasked.
+    /// The helper is ready for items of a phase. The helper receives items of later phases without another
+    /// request.
     Ask {
-        /// The number of the phase.
-        phase: u32,
+        /// The phase.
+        phase: PhaseIndex,
     },
-    /// Its finds of all items of a piece.
+    /// The helper's results for all items of one [`ToHelper::Take`].
     Found {
-        /// The number of the phase.
-        phase: u32,
+        /// The phase.
+        phase: PhaseIndex,
         /// The items.
         items: Vec<u32>,
-        /// The bytes of [`Phase::take`].
+        /// The encoded results of these items, from [`Phase::take`].
         finds: Vec<u8>,
     },
 }
@@ -60,21 +62,21 @@ pub struct Helper {
     state: Mutex<HelperState>,
     changed: Condvar,
     watcher: Arc<dyn Watcher + Send>,
-    /// Must not wait for the leader.
+    /// The function that sends a message to the leader. The function must not wait for the leader.
     out: Box<dyn Fn(FromHelper) + Send + Sync>,
 }
 
 #[derive(Default)]
 struct HelperState {
-    number: u32,
-    outcomes: BTreeMap<u32, Vec<u8>>,
-    pieces: VecDeque<(u32, Vec<u32>)>,
+    number: PhaseIndex,
+    outcomes: BTreeMap<PhaseIndex, Vec<u8>>,
+    pieces: VecDeque<(PhaseIndex, Vec<u32>)>,
     is_over: bool,
-    /// Whether it has asked for items of a phase before.
+    /// True if the helper has sent its first requests for items.
     has_asked: bool,
 }
 
-/// What a helper does next.
+/// The next step of a helper in a phase.
 enum HelperStep {
     Finish(Vec<u8>),
     Compute(Vec<u32>),
@@ -82,7 +84,7 @@ enum HelperStep {
 }
 
 impl Helper {
-    /// A helper that has heard nothing. `out` must not wait for the leader.
+    /// Creates a helper that has received no message. `out` must not wait for the leader.
     pub fn new(
         watcher: Arc<dyn Watcher + Send>,
         out: impl Fn(FromHelper) + Send + Sync + 'static,
@@ -95,7 +97,7 @@ impl Helper {
         }
     }
 
-    /// Takes a message. Called from any thread; never waits.
+    /// Receives a message. Any thread may call this function, which never waits.
     pub fn hear(&self, message: ToHelper) {
         let mut state = self.lock();
         match message {
@@ -112,28 +114,29 @@ impl Helper {
     }
 
     fn lock(&self) -> MutexGuard<'_, HelperState> {
-        // Each change is whole before anything can panic.
+        // Each change of the state is complete before code can panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the outcome of a phase is here, so that its items are not needed any more.
-    fn is_finished(&self, number: u32) -> bool {
+    /// Returns true if the outcome of a phase has arrived or the work has ended, so that its items are not
+    /// needed.
+    fn is_finished(&self, number: PhaseIndex) -> bool {
         let state = self.lock();
         state.is_over || state.outcomes.contains_key(&number)
     }
 
-    /// Waits for the next thing to do in a phase.
-    fn step(&self, number: u32) -> HelperStep {
+    /// Waits for the next step in phase `number`.
+    fn step(&self, number: PhaseIndex) -> HelperStep {
         let mut state = self.lock();
         loop {
             if state.is_over || self.watcher.cancelled() {
                 return HelperStep::Stop;
             }
             if let Some(outcome) = state.outcomes.remove(&number) {
-                state.number = number + 1;
+                state.number = PhaseIndex(number.0 + 1);
                 return HelperStep::Finish(outcome);
             }
-            // Pieces of phases that are over are of no use.
+            // Pieces of finished phases are not needed.
             state.pieces.retain(|(phase, _)| *phase >= number);
             if state
                 .pieces
@@ -163,7 +166,7 @@ impl Crew for Helper {
                 HelperStep::Finish(outcome) => {
                     let added = phase.add(&outcome);
                     if let Err(e) = &added {
-                        tracing::warn!("the outcome of phase {number} is of no use: {e}");
+                        tracing::warn!("the outcome of phase {number} is unusable: {e}");
                     }
                     let whole = added.is_ok() && (0..phase.items()).all(|item| phase.has(item));
                     return if whole {
@@ -174,7 +177,9 @@ impl Crew for Helper {
                 }
                 HelperStep::Compute(items) => {
                     if items.iter().any(|i| *i as usize >= phase.items()) {
-                        tracing::warn!("the leader gave items that phase {number} does not have");
+                        tracing::warn!(
+                            "the leader assigned items that phase {number} does not have"
+                        );
                         return Err(TileError::Cancelled);
                     }
                     items.par_iter().with_max_len(1).try_for_each(|item| {

@@ -1,117 +1,124 @@
-//! The leader of a crew: divides the items of each phase, computes what it has not given away, and publishes
-//! the outcomes. With no helpers it is a member that works alone and leaves outcomes behind.
+//! The leader of a crew.
 //!
-//! Outcomes stay here until somebody has kept them, so that a leader whose stream broke can go on with new
-//! helpers. The leader waits for nobody: when no item is free it computes those that helpers have not
-//! answered yet, and the first answer counts. So a helper that is slow, silent or gone costs what it would
-//! have saved.
+//! The leader divides the items of each phase, computes the items that it has not assigned to helpers, and
+//! publishes the outcomes. Without helpers, the leader computes all items and still publishes the outcomes.
+//!
+//! The leader stores outcomes until a recipient confirms their storage, so a leader whose stream broke can
+//! continue with new helpers. The leader does not wait for helpers: if no item is free, it computes the items
+//! that helpers have not answered yet, and the first answer counts. A slow, silent or lost helper therefore
+//! costs at most the time that it would have saved.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+
+use sightline_numbers::ids::PhaseIndex;
 
 use super::member::{Crew, Phase};
 use super::queue::{IN_HAND, Member, Queue};
 use crate::context::Watcher;
 use crate::error::TileError;
 
-/// Without helpers, outcomes are handed over this often.
+/// The interval at which a leader without helpers sends its outcomes to their storage.
 const HAND_OVER: Duration = Duration::from_secs(1);
 
-/// What the leader hears.
+/// A message to the leader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ToLeader {
-    /// A helper has come. It has been given the outcomes that were handed over.
+    /// A helper has joined. The helper has received all outcomes that the leader sent before.
     Joined(Member),
-    /// A helper is ready for items of a phase, and then of every later one.
+    /// A helper is ready for items of a phase and of every later phase.
     Ask {
-        /// The helper.
+        /// The helper that is ready.
         member: Member,
-        /// The number of the phase, from 0.
-        phase: u32,
+        /// The number of the phase, starting at 0.
+        phase: PhaseIndex,
     },
-    /// A helper's finds of all items of a piece.
+    /// A helper's results for all items of one [`FromLeader::Take`].
     Found {
         /// The helper.
         member: Member,
-        /// The number of the phase.
-        phase: u32,
+        /// The phase.
+        phase: PhaseIndex,
         /// The items.
         items: Vec<u32>,
         /// The bytes of [`Phase::take`].
         finds: Vec<u8>,
     },
-    /// A helper has gone.
+    /// A helper has left.
     Left(Member),
-    /// The outcomes of this many phases have been kept.
+    /// The outcomes of the first phases are stored. The field is the number of these phases.
     Kept(u32),
 }
 
-/// What the leader says.
+/// A message from the leader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FromLeader {
     /// Items for a helper.
     Take {
         /// The helper.
         member: Member,
-        /// The number of the phase.
-        phase: u32,
+        /// The phase.
+        phase: PhaseIndex,
         /// The items.
         items: Vec<u32>,
     },
-    /// The outcome of a phase, for all helpers and for whoever keeps it.
+    /// The outcome of a phase, for all helpers and for the storage of outcomes.
     Outcome {
-        /// The number of the phase.
-        phase: u32,
+        /// The phase.
+        phase: PhaseIndex,
         /// The bytes of [`Phase::outcome`].
         bytes: Arc<Vec<u8>>,
-        /// How long the phase took, helpers' part and encoding included.
+        /// The duration of the phase, including helpers' work and encoding.
         time: Duration,
     },
-    /// This helper is of no use.
+    /// The helper is dismissed, because its results could not be used.
     Dismiss(Member),
-    /// There are no more phases.
+    /// No more phases follow.
     End,
 }
 
 /// The leader of a crew.
 pub struct Leader {
     state: Mutex<LeaderState>,
-    /// There are finds to add, or the phase is over.
+    /// The condition variable that the leader notifies when a helper's results have arrived or the phase is
+    /// over.
     news: Condvar,
     watcher: Arc<dyn Watcher + Send>,
-    /// Must not wait for the other members.
+    /// The function that sends a message to the other members. The function must not wait for them.
     out: Box<dyn Fn(FromLeader) + Send + Sync>,
 }
 
 #[derive(Default)]
 struct LeaderState {
-    /// Outcomes of an earlier leader that are not used yet, by phase.
-    earlier: BTreeMap<u32, Vec<u8>>,
-    /// The number of the next phase, or of the one in work.
-    number: u32,
+    /// The unused outcomes of an earlier leader, by phase.
+    earlier: BTreeMap<PhaseIndex, Vec<u8>>,
+    /// The number of the current phase, or of the next phase between two phases.
+    number: PhaseIndex,
+    /// The items of the current phase without answers. `None` between two phases.
     queue: Option<Queue>,
     helpers: BTreeSet<Member>,
-    /// Those of them that have asked for items, with the phase from which on they get some.
-    ready: BTreeMap<Member, u32>,
-    /// Helpers without items, and the phase that each is ready for.
-    asking: VecDeque<(Member, u32)>,
-    /// Pieces that helpers have done.
+    /// The helpers that have requested items, each with the first phase whose items the helper accepts.
+    ready: BTreeMap<Member, PhaseIndex>,
+    /// The helpers without items, with the phase for which each is ready.
+    asking: VecDeque<(Member, PhaseIndex)>,
+    /// The results of helpers that the leader has not added yet: helper, items, and encoded results.
     done: VecDeque<(Member, Vec<u32>, Vec<u8>)>,
-    /// Outcomes that nobody has said to have kept.
-    outcomes: VecDeque<(u32, Arc<Vec<u8>>, Duration)>,
-    /// Those from this phase on are not handed over yet.
-    handed: u32,
+    /// The outcomes whose storage is not confirmed yet: phase, bytes, and duration of the phase.
+    outcomes: VecDeque<(PhaseIndex, Arc<Vec<u8>>, Duration)>,
+    /// The number of the first phase whose outcome the leader has not sent yet.
+    handed: PhaseIndex,
+    /// The time at which the leader last sent outcomes.
     handed_over: Option<Instant>,
-    /// Rays of helpers, by helper, for the log.
+    /// The rays of helpers, by helper, for the log.
     rays: BTreeMap<Member, u64>,
-    /// Time spent on preparing phases, computing items and encoding outcomes, for the log.
+    /// The time spent on preparing phases, computing items and encoding outcomes, for the log.
     times: [Duration; 3],
-    /// Whether there are no more phases.
+    /// True if no more phases follow.
     has_ended: bool,
 }
 
-/// What a thread of the leader does next.
+/// The next step of a thread of the leader.
 enum LeaderStep {
     Add(Member, Vec<u32>, Vec<u8>),
     Compute(usize),
@@ -119,15 +126,15 @@ enum LeaderStep {
 }
 
 impl Leader {
-    /// The leader of a block of which the first phases have these outcomes. `out` must not wait for the other
-    /// members.
+    /// Creates the leader of a block whose first phases have these outcomes. `out` must not wait for the
+    /// other members.
     pub fn new(
         outcomes: Vec<Vec<u8>>,
         watcher: Arc<dyn Watcher + Send>,
         out: impl Fn(FromLeader) + Send + Sync + 'static,
     ) -> Self {
         let state = LeaderState {
-            earlier: (0..).zip(outcomes).collect(),
+            earlier: (0..).map(PhaseIndex).zip(outcomes).collect(),
             ..LeaderState::default()
         };
         Self {
@@ -138,7 +145,7 @@ impl Leader {
         }
     }
 
-    /// Acts on a message. Called from any thread; never waits for a phase.
+    /// Processes a message. Any thread may call this function, which never waits for a phase.
     pub fn hear(&self, message: ToLeader) {
         let mut state = self.lock();
         match message {
@@ -150,7 +157,7 @@ impl Leader {
                 let is_new =
                     state.helpers.contains(&member) && state.ready.insert(member, phase).is_none();
                 if is_new && phase < state.number {
-                    // The phase is over; the helper is given some of the present one.
+                    // The phase is over, so the helper receives items of the current phase.
                     let now = state.number;
                     (0..IN_HAND).for_each(|_| state.asking.push_back((member, now)));
                     self.give(&mut state);
@@ -168,7 +175,7 @@ impl Leader {
                 items,
                 finds,
             } => {
-                // Late finds are not needed: the phase is over.
+                // Late results are not needed, because the phase is over.
                 if state.helpers.contains(&member) && phase == state.number && state.queue.is_some()
                 {
                     state.done.push_back((member, items, finds));
@@ -180,7 +187,7 @@ impl Leader {
                 while state
                     .outcomes
                     .front()
-                    .is_some_and(|(phase, ..)| *phase < phases)
+                    .is_some_and(|(phase, ..)| phase.0 < phases)
                 {
                     state.outcomes.pop_front();
                 }
@@ -188,46 +195,53 @@ impl Leader {
         }
     }
 
-    /// There is a new way to helpers, on which the outcomes of `there` phases are known. Returns whether the
-    /// leader has all others; without them helpers are of no use. `turn` makes `out` lead that way.
+    /// Switches to a new connection. The other end of the connection has stored the outcomes of the first
+    /// `there` phases.
+    ///
+    /// Returns true if the leader still has the outcomes of all later phases, which helpers need. `turn`
+    /// redirects `out` to the new connection.
     pub fn reopened(&self, there: u32, turn: impl FnOnce()) -> bool {
         let mut state = self.lock();
         let first = state
             .outcomes
             .front()
             .map_or(state.number, |(phase, ..)| *phase);
+        let there = PhaseIndex(there);
         if there < first {
             return false;
         }
         state.handed = there;
-        // Nothing is said in between, so the first outcome on the new way is that of phase `there`.
+        // No message is sent in between, so the first outcome on the new connection is the outcome of phase
+        // `there`.
         turn();
         self.hand_over(&mut state);
         true
     }
 
-    /// Whether there are no more phases, and no use for helpers.
+    /// Returns true if no more phases follow, so that helpers are not needed.
     pub fn has_ended(&self) -> bool {
         self.lock().has_ended
     }
 
-    /// The number of the next phase, or of the one in work.
-    pub fn phase(&self) -> u32 {
+    /// Returns the number of the current phase, or of the next phase between two phases.
+    pub fn phase(&self) -> PhaseIndex {
         self.lock().number
     }
 
-    /// An earlier leader has left the outcomes of the phases from `from` on, which were not known at first.
-    /// Those of phases that have begun here are not used.
-    pub fn learn(&self, from: u32, outcomes: Vec<Vec<u8>>) {
-        self.lock().earlier.extend((from..).zip(outcomes));
+    /// Adds the outcomes of an earlier leader for the phases from `from` on, which were unknown when this
+    /// leader was created. The leader ignores outcomes of phases that it has begun.
+    pub fn learn(&self, from: PhaseIndex, outcomes: Vec<Vec<u8>>) {
+        self.lock()
+            .earlier
+            .extend((from.0..).map(PhaseIndex).zip(outcomes));
     }
 
     fn lock(&self) -> MutexGuard<'_, LeaderState> {
-        // Each change is whole before anything can panic.
+        // Each change of the state is complete before code can panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives free items to helpers that ask.
+    /// Assigns free items to helpers that have asked for items.
     fn give(&self, state: &mut LeaderState) {
         let (number, members) = (state.number, state.helpers.len() + 1);
         let Some(queue) = &mut state.queue else {
@@ -254,11 +268,11 @@ impl Leader {
         state.asking = waiting;
     }
 
-    /// Forgets a helper, and what it was given.
+    /// Removes a helper and frees the items that were assigned to it.
     fn dismiss(&self, state: &mut LeaderState, member: Member) {
         state.helpers.remove(&member);
         state.ready.remove(&member);
-        // Later finds leave out what earlier ones held.
+        // Later results of a helper omit the bits that its earlier results contained.
         state.done.retain(|(m, ..)| *m != member);
         state.asking.retain(|(m, _)| *m != member);
         if state
@@ -270,7 +284,7 @@ impl Leader {
         }
     }
 
-    /// Hands the outcomes over that are still here.
+    /// Sends the outcomes in `state` that the leader has not sent yet.
     fn hand_over(&self, state: &mut LeaderState) {
         let from = state.handed;
         for (phase, bytes, time) in state.outcomes.iter().filter(|(phase, ..)| *phase >= from) {
@@ -280,11 +294,11 @@ impl Leader {
         state.handed = state
             .outcomes
             .back()
-            .map_or(from, |(phase, ..)| from.max(phase + 1));
+            .map_or(from, |(phase, ..)| from.max(PhaseIndex(phase.0 + 1)));
         state.handed_over = Some(Instant::now());
     }
 
-    /// Whether the phase has its answers from an earlier leader.
+    /// Adds the outcome of an earlier leader to the phase. Returns true if every item then has an answer.
     fn is_known(&self, phase: &dyn Phase) -> bool {
         let outcome = {
             let mut state = self.lock();
@@ -299,7 +313,8 @@ impl Leader {
             }
             Err(e) => {
                 tracing::warn!(
-                    "an earlier outcome of this block is of no use, the block goes on without: {e}"
+                    "an earlier outcome of this block is unusable, and the block continues without \
+                     it: {e}"
                 );
                 false
             }
@@ -310,7 +325,7 @@ impl Leader {
         whole
     }
 
-    /// What a thread does next in a phase.
+    /// Returns the next step of a thread in a phase.
     fn step(&self) -> LeaderStep {
         let mut state = self.lock();
         if let Some((member, items, finds)) = state.done.pop_front() {
@@ -321,7 +336,7 @@ impl Leader {
         item.map_or(LeaderStep::Nothing, LeaderStep::Compute)
     }
 
-    /// Adds the finds of a helper.
+    /// Adds the results of a helper to the phase, or dismisses the helper if the results are invalid.
     fn add(&self, phase: &dyn Phase, member: Member, items: &[u32], finds: &[u8]) {
         match phase.add(finds) {
             Ok(rays) => {
@@ -341,8 +356,8 @@ impl Leader {
         }
     }
 
-    /// Adds the finds of helpers as they come, until the phase is over: the other threads may be busy with
-    /// long items that helpers have answered.
+    /// Adds the results of helpers as they arrive, until the phase is over. The other threads may be busy
+    /// with long items that helpers have answered.
     fn add_all(&self, phase: &dyn Phase) {
         let mut state = self.lock();
         while state.queue.is_some() {
@@ -359,14 +374,14 @@ impl Leader {
         }
     }
 
-    /// Computes items until there are none without answers, as one of the leader's threads.
+    /// Computes items until every item has an answer, as one of the leader's threads.
     fn work(&self, phase: &dyn Phase, failed: &Mutex<Option<TileError>>) {
         let is_failed = || failed.lock().is_ok_and(|f| f.is_some());
         while !is_failed() {
             match self.step() {
                 LeaderStep::Add(member, items, finds) => self.add(phase, member, &items, &finds),
                 LeaderStep::Compute(item) if phase.has(item) => {}
-                // A helper's answer may come while a long item is computed once more here.
+                // A helper's answer may arrive while the leader computes a long item again.
                 LeaderStep::Compute(item) => match phase.compute(item, &|| phase.has(item)) {
                     Ok(()) => {
                         if let Some(queue) = &mut self.lock().queue {
@@ -389,7 +404,7 @@ impl Crew for Leader {
     fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
         if self.is_known(phase) {
             let mut state = self.lock();
-            state.number += 1;
+            state.number.0 += 1;
             return Ok(());
         }
         let begun = Instant::now();
@@ -399,10 +414,10 @@ impl Crew for Leader {
             let mut state = self.lock();
             state.queue = Some(Queue::new(phase.costs()));
             let number = state.number;
-            // One piece each in turn. Whoever has asked already is ready.
+            // Helpers receive one piece each in turn. A helper that has asked once stays ready.
             state.asking.clear();
             for _ in 0..IN_HAND {
-                // One that knows the outcomes of later phases drops items of this one.
+                // A helper that knows the outcomes of later phases drops items of this phase.
                 let ready = state.ready.iter().filter(|(_, from)| **from <= number);
                 let ready: Vec<Member> = ready.map(|(member, _)| *member).collect();
                 state
@@ -414,7 +429,7 @@ impl Crew for Leader {
         let failed = Mutex::new(None);
         std::thread::scope(|threads| {
             threads.spawn(|| self.add_all(phase));
-            let _over = Over(self);
+            let _over = PhaseEnd(self);
             rayon::scope(|scope| {
                 (0..rayon::current_num_threads())
                     .for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
@@ -426,7 +441,7 @@ impl Crew for Leader {
             return Err(e);
         }
         let number = state.number;
-        state.number += 1;
+        state.number.0 += 1;
         state.asking.clear();
         let since = *state.handed_over.get_or_insert_with(Instant::now);
         drop(state);
@@ -462,7 +477,7 @@ impl Crew for Leader {
 }
 
 impl Drop for Leader {
-    /// Helpers of a tile that failed or was taken back are of no use.
+    /// Dismisses the helpers of a tile that failed or was cancelled.
     fn drop(&mut self) {
         if !self.has_ended() {
             (self.out)(FromLeader::End);
@@ -470,10 +485,10 @@ impl Drop for Leader {
     }
 }
 
-/// Ends the adding of finds when a phase is over, also by a panic.
-struct Over<'a>(&'a Leader);
+/// A guard that stops the adding of results at the end of a phase, also after a panic.
+struct PhaseEnd<'a>(&'a Leader);
 
-impl Drop for Over<'_> {
+impl Drop for PhaseEnd<'_> {
     fn drop(&mut self) {
         let mut state = self.0.lock();
         state.queue = None;

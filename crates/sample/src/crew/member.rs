@@ -1,64 +1,73 @@
-//! What a phase offers to the members of a crew, and what a crew offers to the sampler.
+//! The interfaces between a phase, the members of a crew, and the sampler.
 
 use crate::error::TileError;
 
-/// Finds that cannot be those of the phase.
+/// The error of results that do not belong to the phase, with the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the finds of another member are no finds of this phase: {0}")]
+#[error("the results of another member do not belong to this phase: {0}")]
 pub struct ForeignFinds(pub &'static str);
 
-/// A phase as one member works on it.
+/// A phase from the view of one member.
 pub trait Phase: Sync {
-    /// The number of items.
+    /// Returns the number of items of the phase.
     fn items(&self) -> usize;
 
-    /// Prepares [`Phase::compute`]. To be called once, on no thread of rayon's pool, and not at all by a
-    /// member that computes no item.
+    /// Prepares [`Phase::compute`].
+    ///
+    /// A member that computes items calls this function once, on a thread outside rayon's pool. A member that
+    /// computes no item does not call it.
     fn prepare(&self);
 
-    /// The expected work of each item, in one unit. After [`Phase::prepare`].
+    /// Returns the expected work of each item, in a unit that all items of the phase share. Requires
+    /// [`Phase::prepare`].
     fn costs(&self) -> Vec<u64>;
 
-    /// Computes an item, on any thread. Computing an item again changes nothing. Gives up without an answer,
-    /// if that saves much, once `is_needless` says so.
+    /// Computes the item with this index, on any thread.
+    ///
+    /// Computing an item again does not change the state. Once `is_needless` returns true, the function may
+    /// return without an answer if this saves much time.
     ///
     /// # Errors
-    /// [`TileError`] when the tile is cancelled or the backend fails.
+    /// [`TileError`] if the tile is cancelled or the backend fails.
     fn compute(
         &self,
         item: usize,
         is_needless: &(dyn Fn() -> bool + Sync),
     ) -> Result<(), TileError>;
 
-    /// Whether the answer of an item is here.
+    /// Returns true if the item has an answer on this member.
     fn has(&self, item: usize) -> bool;
 
-    /// The finds of items computed here, for another member; they must be computed, and no other item may be
-    /// in work. The finds are taken out: they come back with the outcome.
+    /// Removes and returns the encoded results of items that this member computed, for another member.
+    /// `items` are indices of items.
+    ///
+    /// Call this function only if the items are computed and no other item is in progress. This member
+    /// receives the removed results again with the outcome of the phase.
     fn take(&self, items: &[usize]) -> Vec<u8>;
 
-    /// Adds the finds of another member. Answers that are here already stay. Returns the rays of the answers
-    /// that were new.
+    /// Adds the encoded results of another member. Existing answers do not change. Returns the number of rays
+    /// of the new answers.
     ///
     /// # Errors
-    /// [`ForeignFinds`]; then none of the answers counts.
+    /// [`ForeignFinds`] if the results do not belong to the phase; then no answer is added.
     fn add(&self, finds: &[u8]) -> Result<u64, ForeignFinds>;
 
-    /// The finds of all items. All must have answers.
+    /// Returns the encoded results of all items, which must all have answers.
     fn outcome(&self) -> Vec<u8>;
 }
 
-/// The way to the other members.
+/// The connection of a member to the other members.
 pub trait Crew: Sync {
-    /// Sees to it that all items of the next phase have their answers.
+    /// Ensures that all items of the next phase have answers. This member or other members compute the
+    /// answers.
     ///
     /// # Errors
-    /// [`TileError`] when the tile is cancelled or the backend fails.
+    /// [`TileError`] if the tile is cancelled or the backend fails.
     fn run(&self, phase: &dyn Phase) -> Result<(), TileError>;
 
-    /// Ends the work of the members: only the leader goes on.
+    /// Ends the work of the helpers. Only the leader continues.
     ///
     /// # Errors
-    /// [`TileError::Cancelled`] for all others.
+    /// [`TileError::Cancelled`] for every member except the leader.
     fn end(&self) -> Result<(), TileError>;
 }

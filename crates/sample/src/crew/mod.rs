@@ -1,14 +1,16 @@
-//! Several members, on one machine or many, that sample a block together.
+//! Crews: groups of members, on one machine or many, that share the sampling of a block.
 //!
-//! Sampling runs in phases. Within a phase the items (a cell's lines, a stripe of seeds) read the state of
-//! the last barrier and write to the next by or and by integer sums, and their random numbers hang on seed,
-//! cell and round. So it does not matter who computes an item. All members run the same program on the same
-//! tile. In each phase one of them, the leader, divides the items; each member computes some; at the end all
-//! have the finds of all, go through the same barrier and decide the same.
+//! Sampling has phases. In a phase, the items (a cell's lines, a stripe of seeds) read the state of the last
+//! barrier and write to the next state by bitwise or and by integer sums. Their random numbers depend on
+//! seed, cell and round. A result therefore does not depend on the member that computes an item. All members
+//! run the same program on the same tile. In each phase the leader divides the items, and each member
+//! computes some of them. At the end all members have all results, pass the same barrier and make the same
+//! decisions.
 //!
-//! What a phase found is its *outcome*: bytes that depend on the job alone. A member that comes late is given
-//! the outcomes so far and computes none of their items, and a block whose leader is gone goes on from
-//! the last outcome that somebody has kept. An item's answer counts whole or not at all.
+//! The results of a phase are its *outcome*: bytes that depend only on the job. A member that joins late
+//! receives the outcomes of the finished phases and does not compute the items of these phases. If the leader
+//! is lost, the block continues from the last stored outcome. An item's answer counts as a whole or not at
+//! all.
 
 mod helper;
 mod leader;
@@ -23,11 +25,11 @@ pub use self::member::{Crew, ForeignFinds, Phase};
 pub use self::queue::{IN_HAND, Member, Queue};
 use crate::error::TileError;
 
-/// One member that works alone.
+/// A crew of one member.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Alone;
+pub struct SoleMember;
 
-impl Crew for Alone {
+impl Crew for SoleMember {
     fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
         phase.prepare();
         let items = (0..phase.items()).into_par_iter().with_max_len(2);

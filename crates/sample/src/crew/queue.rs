@@ -1,31 +1,33 @@
-//! Who computes which item of a phase: the costliest first, in pieces that shrink as the phase goes on.
+//! The assignment of a phase's items to members: the costliest items first, in pieces that shrink.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// A helper's number, unique within its crew.
 pub type Member = u64;
 
-/// Pieces that a helper has at once: one that it computes, and one that waits for it.
+/// The number of pieces that a helper has at once: one piece that the helper computes, and one that waits. A
+/// piece is a list of items.
 pub const IN_HAND: usize = 2;
-/// A piece for a helper has this part of what an even share of the rest would be.
+/// The divisor of an even share: the work of a piece is the helper's even share of the remaining work,
+/// divided by this number.
 const PART_OF_SHARE: u64 = 4;
 
-/// The items of a phase that have no answers yet. Public for measurements that replay a crew.
+/// The items of a phase without answers. The type is public for benchmarks that replay a crew.
 #[derive(Debug, Default)]
 pub struct Queue {
-    /// Items that nobody computes, the costliest first.
+    /// The indices of the items that no member computes, the costliest first.
     free: VecDeque<usize>,
     costs: Vec<u64>,
-    /// The cost of the free items.
+    /// The sum of the costs of the free items.
     left: u64,
-    /// The helper that computes each item.
+    /// The helper that computes each assigned item.
     given: BTreeMap<usize, Member>,
-    /// Given items that the leader computes as well, because it has nothing else to do.
+    /// The assigned items that the leader also computes, because it has no other work.
     repeated: BTreeSet<usize>,
 }
 
 impl Queue {
-    /// A phase with items of these costs.
+    /// Creates the queue of a phase whose items have these costs, by index, in any common unit.
     pub fn new(costs: Vec<u64>) -> Self {
         let costs: Vec<u64> = costs.into_iter().map(|c| c.max(1)).collect();
         let mut items: Vec<usize> = (0..costs.len()).collect();
@@ -39,15 +41,15 @@ impl Queue {
         }
     }
 
-    /// The next item for the leader.
+    /// Removes and returns the costliest free item, or `None` if no item is free.
     pub fn next_free(&mut self) -> Option<usize> {
         let item = self.free.pop_front()?;
         self.left = self.left.saturating_sub(self.costs[item]);
         Some(item)
     }
 
-    /// An item that a helper has been given and the leader has not begun, the cheapest first: with nothing
-    /// else to do, the leader does not wait for helpers.
+    /// Returns the cheapest item that is assigned to a helper and that the leader has not started. The leader
+    /// calls this function if it has no other work, so that it does not wait for helpers.
     pub fn next_given(&mut self) -> Option<usize> {
         let waiting = self.given.keys().filter(|i| !self.repeated.contains(i));
         let item = waiting.copied().min_by_key(|i| (self.costs[*i], *i))?;
@@ -55,7 +57,8 @@ impl Queue {
         Some(item)
     }
 
-    /// Items for a helper, when `members` work on the phase; empty when none are free.
+    /// Assigns free items to the helper `member`, and returns their indices. `members` is the number of
+    /// members that work on the phase. The list is empty if no item is free.
     pub fn piece(&mut self, member: Member, members: usize) -> Vec<usize> {
         let aim = self.left / (PART_OF_SHARE * members.max(1) as u64);
         let (mut piece, mut cost) = (Vec::new(), 0);
@@ -70,13 +73,13 @@ impl Queue {
         piece
     }
 
-    /// Notes that an item has its answer.
+    /// Records that an item has an answer.
     pub fn answered(&mut self, item: usize) {
         self.given.remove(&item);
         self.repeated.remove(&item);
     }
 
-    /// Takes back the items of a helper that has gone; returns whether there were some.
+    /// Frees the items of a helper that has left. Returns true if the helper had items.
     pub fn take_back(&mut self, member: Member) -> bool {
         let back: Vec<usize> = self
             .given
@@ -100,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_item_is_handed_out_once_in_shrinking_pieces_the_costliest_first() {
+    fn every_item_is_assigned_once_costliest_first_in_shrinking_pieces() {
         let mut queue = Queue::new((1..=100).collect());
         let (mut seen, mut sizes) = (BTreeSet::new(), Vec::new());
         assert_eq!(queue.next_free(), Some(99));
@@ -122,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_lost_helper_had_is_free_again_unless_the_leader_has_it() {
+    fn lost_helper_frees_items_unless_leader_computes_them() {
         let mut queue = Queue::new(vec![5; 4]);
         let piece = [queue.piece(1, 1), queue.piece(1, 1)].concat();
         assert_eq!(piece.len(), 2);

@@ -1,10 +1,11 @@
-//! The sample cache of one tile, with counters that tell when a sample is final (Nirenstein 2003, section
+//! The sample cache of one tile, with counters that show when a sample is final (Nirenstein 2003, section
 //! 4.2.2).
 //!
-//! Every sample touches eight octants. A finished cell adds the octants it fills: four for a sample in its
-//! face, two on an edge, one at a corner. At eight no unfinished cell can need the sample, and it is dropped.
-//! Octants outside the tile count from the start. Samples are kept in the order of their lattice positions,
-//! so the result does not depend on the order of insertion.
+//! Every sample touches eight octants, the eighths of space around its position. A finished cell counts the
+//! octants that the cell fills: four for a sample in its face, two on an edge, one at a corner. A sample with
+//! eight finished octants is dropped, because no unfinished cell can need it. Octants outside the tile count
+//! from the start. Samples are stored in the order of their lattice positions, so the result does not depend
+//! on the order of insertion.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,20 +13,20 @@ use std::sync::Arc;
 use sightline_model::VisibilitySample;
 use sightline_viewcells::{CellBox, LatticePoint};
 
-/// Counters of the cache, for reports.
+/// The counters of the cache, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheCounters {
-    /// Inserted samples.
+    /// The number of inserted samples.
     pub inserted: u64,
-    /// Requests for a sample that was in the cache.
+    /// The number of requests for a sample that was in the cache.
     pub hits: u64,
-    /// Samples dropped because all their octants were finished.
+    /// The number of samples dropped because all their octants were finished.
     pub dropped: u64,
-    /// Most samples held at once.
+    /// The maximum number of samples in the cache at once.
     pub most_held: u64,
 }
 
-/// Samples by lattice position.
+/// A cache of samples by lattice position.
 pub struct SampleCache {
     tile: CellBox,
     entries: BTreeMap<LatticePoint, Entry>,
@@ -38,7 +39,7 @@ struct Entry {
 }
 
 impl SampleCache {
-    /// An empty cache for the tile that covers `tile`.
+    /// Creates an empty cache for the tile with the cells in the box `tile`.
     pub fn new(tile: CellBox) -> Self {
         Self {
             tile,
@@ -47,8 +48,8 @@ impl SampleCache {
         }
     }
 
-    /// Inserts a sample. The first for a position stays: all samples of one position are equally valid, and
-    /// the order of insertion is fixed.
+    /// Inserts a sample at position `p`, unless the cache already contains a sample at `p`. All samples of a
+    /// position are equally valid, and the order of insertion is fixed.
     pub fn insert(&mut self, p: LatticePoint, sample: Arc<VisibilitySample>) {
         let outside = 8 - self.tile.octants(p);
         if outside == 8 {
@@ -64,14 +65,14 @@ impl SampleCache {
         self.counters.most_held = self.counters.most_held.max(self.entries.len() as u64);
     }
 
-    /// The sample at `p`, if the cache holds one.
+    /// Returns the sample at `p`, if the cache contains one.
     pub fn get(&mut self, p: LatticePoint) -> Option<Arc<VisibilitySample>> {
         let found = self.entries.get(&p).map(|e| Arc::clone(&e.sample));
         self.counters.hits += u64::from(found.is_some());
         found
     }
 
-    /// The samples on the surface of `cell`, by position.
+    /// Returns the samples on the surface of `cell`, by position.
     pub fn on_surface(&self, cell: &CellBox) -> Vec<&VisibilitySample> {
         let x = |x: u32| [x, 0, 0];
         let range = x(cell.lo[0])..=[cell.hi[0], u32::MAX, u32::MAX];
@@ -93,7 +94,7 @@ impl SampleCache {
         self.counters.dropped += (before - self.entries.len()) as u64;
     }
 
-    /// The counters so far.
+    /// Returns the counters so far.
     pub fn counters(&self) -> CacheCounters {
         self.counters
     }
@@ -105,7 +106,7 @@ mod tests {
     use sightline_viewcells::Split;
 
     #[test]
-    fn samples_are_dropped_when_their_last_cell_is_finished() {
+    fn samples_are_dropped_when_last_cell_is_finished() {
         let tile = CellBox {
             lo: [0; 3],
             hi: [4; 3],
@@ -138,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_the_tile_is_not_kept() {
+    fn cache_ignores_samples_outside_tile() {
         let mut cache = SampleCache::new(CellBox {
             lo: [0; 3],
             hi: [4; 3],

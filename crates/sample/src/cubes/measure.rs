@@ -1,34 +1,36 @@
 //! The error measures Err, Err′ and Err″ (Nirenstein and Blake 2004, sections 3.3–3.5; Nirenstein 2003,
-//! section 4.1.3): how different the cubes at the corners of a rectangle are, from 0 (equal) to 1. Uniform
-//! sampling compares nothing.
+//! section 4.1.3).
+//!
+//! A measure is the difference between the cubes at the corners of a rectangle, from 0 (equal) to 1. Uniform
+//! sampling does not compare cubes.
 
 use sightline_model::ErrorMeasure;
 use sightline_model::VisibilitySample;
 
-/// The measure over two to four samples. Fewer than two are never different.
+/// Computes the measure over two to four samples. Fewer than two samples have the measure 0.
 pub fn error(measure: ErrorMeasure, samples: &[&VisibilitySample]) -> f64 {
     if samples.len() < 2 {
         return 0.0;
     }
     match measure {
-        // With one stratum Err″ is Err.
+        // With one stratum Err″ equals Err.
         ErrorMeasure::Sets | ErrorMeasure::Strata => stratified(samples),
         ErrorMeasure::Pixels => strict(samples),
-        // Above every threshold, so that every rectangle is split.
+        // The value exceeds every threshold, so every rectangle is split.
         ErrorMeasure::Uniform => f64::INFINITY,
     }
 }
 
-/// Err″ (Nirenstein and Blake 2004, equation 3): the maximum over the strata k of 1 − min over i of
+/// Computes Err″ (Nirenstein and Blake 2004, equation 3): the maximum over the strata k of 1 − min over i of
 /// |∩ s_j(k)| / |s_i(k)|.
 ///
-/// A sample that sees nothing in a stratum has no ratio there. If other samples see something, the
-/// intersection is empty and the measure is 1; if none does, the stratum counts as equal.
+/// A sample that sees no triangle in a stratum has no ratio there. If other samples see triangles in it, the
+/// intersection is empty and the measure is 1. If no sample does, the stratum counts as equal.
 fn stratified(samples: &[&VisibilitySample]) -> f64 {
     let mut common = [0u32; 32];
     let mut sizes = [[0u32; 32]; 4];
     let mut at = [0usize; 4];
-    // One walk over the sorted ids of all samples at once.
+    // One pass over the sorted ids of all samples at once.
     while let Some(id) = samples
         .iter()
         .zip(at)
@@ -67,8 +69,8 @@ fn each_bit(mut mask: u32, mut f: impl FnMut(usize)) {
     }
 }
 
-/// Err′ (Nirenstein and Blake 2004, equation 2): the fraction of pixels whose triangle is not the same in all
-/// samples.
+/// Computes Err′ (Nirenstein and Blake 2004, equation 2): the fraction of pixels whose triangle differs
+/// between samples.
 ///
 /// Samples without pixels count as entirely different. Cubes with the parameters of
 /// [`sightline_trace::CubeSpec::new`] have pixels.
@@ -109,8 +111,8 @@ mod tests {
     }
 
     #[test]
-    fn err_is_one_minus_the_least_ratio() {
-        // Common {1, 2}; ratios 2/4, 2/2, 2/3.
+    fn err_is_one_minus_minimum_ratio() {
+        // The common set is {1, 2}; the ratios are 2/4, 2/2, 2/3.
         let a = sample(&[1, 2, 3, 4], &[1; 4]);
         let b = sample(&[1, 2], &[1; 2]);
         let c = sample(&[1, 2, 9], &[1; 3]);
@@ -118,18 +120,18 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_stratum_counts() {
-        // Stratum 0 alike, stratum 1 with one of two in common.
+    fn measure_is_maximum_over_strata() {
+        // Stratum 0 is equal; stratum 1 has one of two in common.
         let a = sample(&[1, 2, 3], &[0b01, 0b10, 0b10]);
         let b = sample(&[1, 2], &[0b01, 0b10]);
         assert_eq!(error(ErrorMeasure::Strata, &[&a, &b]), 0.5);
-        // The same sets in other directions differ.
+        // Equal sets in other directions differ.
         let c = sample(&[1, 2, 3], &[0b10, 0b01, 0b10]);
         assert_eq!(error(ErrorMeasure::Strata, &[&a, &c]), 1.0);
     }
 
     #[test]
-    fn seeing_nothing_is_alike_only_with_nothing() {
+    fn empty_sample_equals_only_empty_sample() {
         let nothing = sample(&[], &[]);
         let a = sample(&[1], &[1]);
         assert_eq!(error(ErrorMeasure::Strata, &[&nothing, &nothing]), 0.0);

@@ -1,7 +1,7 @@
 //! Adaptive sampling of one rectangle (Nirenstein and Blake 2004, section 3.2; Nirenstein 2003, section
 //! 4.1.3).
 //!
-//! The quadtree grows level by level instead of depth first: the set of split rectangles does not depend on
+//! The quadtree grows level by level instead of depth first. The set of split rectangles does not depend on
 //! the order, and the samples of a level can be rendered at once.
 
 use std::collections::BTreeSet;
@@ -13,9 +13,9 @@ use sightline_viewcells::{Lattice, LatticePoint, Rect};
 
 use super::measure::error;
 
-/// Distinguishes samples inside closed solids from samples outside.
+/// A test that distinguishes samples inside closed solids from samples outside.
 pub trait Exterior: Sync {
-    /// Whether a viewpoint can be at the sample taken at `p`.
+    /// Returns true if a viewpoint can be at `p`, where `sample` was taken.
     fn is_exterior(&self, p: LatticePoint, sample: &VisibilitySample) -> bool;
 }
 
@@ -24,21 +24,21 @@ pub trait SampleSource {
     /// The error of a request for samples.
     type Error;
 
-    /// The samples at `points`, in their order, cached or rendered.
+    /// Returns the samples at `points`, in their order, cached or rendered.
     ///
     /// # Errors
-    /// The source's own.
+    /// [`Self::Error`] if a sample cannot be rendered.
     fn samples(
         &mut self,
         points: &[LatticePoint],
     ) -> Result<Vec<Arc<VisibilitySample>>, Self::Error>;
 }
 
-/// Samples `rect` until the leaves of its quadtree are below the error threshold, small enough, or cannot be
-/// halved.
+/// Samples `rect` and splits it, until the leaves of its quadtree are below the error threshold, small
+/// enough, or cannot be halved.
 ///
 /// # Errors
-/// The source's, unchanged.
+/// The error of the source, unchanged.
 pub fn refine<S: SampleSource>(
     rect: Rect,
     lattice: &Lattice,
@@ -80,8 +80,10 @@ pub fn refine<S: SampleSource>(
     Ok(())
 }
 
-/// The three conditions of Nirenstein and Blake 2004, section 3.6: a single exterior sample, exterior samples
-/// that differ, interior samples that differ.
+/// Returns true if a rectangle must be split (Nirenstein and Blake 2004, section 3.6).
+///
+/// The three conditions are a single exterior sample, exterior samples that differ, and interior samples that
+/// differ.
 fn wants_split(
     corners: &[(LatticePoint, &VisibilitySample)],
     params: &CubeParams,
@@ -106,7 +108,7 @@ mod tests {
     use sightline_model::numbers::{ErrorThreshold, InteriorThreshold};
     use sightline_viewcells::Division;
 
-    /// Sees triangle 0 left of a plane and triangle 1 right of it.
+    /// A source that sees triangle 0 left of a plane and triangle 1 right of it.
     struct Edge(u32, Vec<LatticePoint>);
     impl SampleSource for Edge {
         type Error = std::convert::Infallible;
@@ -130,7 +132,7 @@ mod tests {
         }
     }
 
-    /// All of space is inside a closed solid.
+    /// A space that is entirely inside a closed solid.
     struct Solid;
     impl Exterior for Solid {
         fn is_exterior(&self, _: LatticePoint, _: &VisibilitySample) -> bool {
@@ -170,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn alike_corners_end_it() {
+    fn equal_corners_end_refinement() {
         let division = Division::Grid([1, 1, 1]);
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let mut source = Edge(0, Vec::new());
@@ -192,7 +194,7 @@ mod tests {
         let division = Division::Grid([1, 1, 1]);
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let rect = division.root(&lattice).face(0);
-        // All corners are alike, and thresholds of 1 are never exceeded.
+        // All corners are equal, and thresholds of 1 are never exceeded.
         let params = CubeParams {
             measure: sightline_model::ErrorMeasure::Uniform,
             error_threshold: ErrorThreshold::new(1.0).unwrap(),
@@ -208,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_exterior_sample_is_split_but_interior_ones_need_their_own_threshold() {
+    fn single_exterior_sample_splits_and_interior_uses_own_threshold() {
         struct Walls;
         impl Exterior for Walls {
             fn is_exterior(&self, p: LatticePoint, _: &VisibilitySample) -> bool {

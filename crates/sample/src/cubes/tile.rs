@@ -1,19 +1,20 @@
-//! Samples one tile with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004,
-//! section 4; Nirenstein 2003, section 4.2).
+//! Sampling of one tile with visibility cubes: its samples, or the sets of its cells.
 //!
-//! The tile runs on one worker, in one order; only the cubes of a level are rendered by several threads.
+//! The method follows Nirenstein and Blake 2004, section 4, and Nirenstein 2003, section 4.2.
+//!
+//! One worker computes the tile, in one order. Only the cubes of a level are rendered by several threads.
 
 use std::sync::Arc;
 
 use sightline_model::{
-    CellSet, CellSets, CubeParams, Granularity, Node, Pack, SupersetChoice, TileOutput,
+    CellSet, CellSets, CubeParams, Granularity, Pack, SubtreeNode, SupersetChoice, TileOutput,
     VisibilitySample,
 };
 use sightline_scene::topology::Solids;
-use sightline_scene::{Aabb, Scene, overlap};
-use sightline_trace::BackendError;
+use sightline_scene::{Aabb, Scene, TriangleId, overlap};
 use sightline_trace::CubeRenderer;
 use sightline_trace::CubeScene;
+use sightline_trace::TracerError;
 use sightline_trace::cube::CubeSpec;
 use sightline_trace::layers;
 use sightline_trace::sight::SightLineTracer;
@@ -24,41 +25,41 @@ use sightline_viewcells::{
 use super::cache::{CacheCounters, SampleCache};
 use super::refine::{Exterior, SampleSource, refine};
 use crate::context::{JobContext, TileError, Watcher};
-use crate::lines::joining;
+use crate::lines::cell_joins;
 use crate::lines::pairs::of_tile;
 
-/// The work of a tile, for reports.
+/// The counters of the work of a tile, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CubeCounters {
-    /// Cubes rendered.
+    /// The number of rendered cubes.
     pub rendered: u64,
     /// The counters of the sample cache.
     pub cache: CacheCounters,
 }
 
-/// Returns [`CubeParams::min_distance`] in world units. In an adaptive tree, the cells of the
-/// deepest level count.
+/// Returns [`CubeParams::min_distance`], a fraction of a cell's size, as a length in world units. In an
+/// adaptive tree, the cells of the deepest level determine the size.
 pub fn min_distance(params: &CubeParams, division: &Division, lattice: &Lattice) -> f64 {
     let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
     let cells = match *division {
-        // A specification has no cubes for the boxes of a tree.
+        // A specification cannot combine cubes with the boxes of a tree.
         Division::Tree(ref tree) => tree.boxes() as f64,
         Division::Grid(cells) => cells.map(f64::from).iter().product(),
-        // The number of cells that the deepest level would have.
+        // The number of cells that the tree would have if all cells were on the deepest level.
         Division::Adaptive { max_depth, .. } => f64::from(1u32 << max_depth.min(31)),
     };
-    // The mean and not the longest side: cells of a street or a storey are long and flat, and visibility
-    // changes along their long sides as fast as in a cube of the same volume.
+    // The mean is used instead of the longest side. Cells of a street or a storey are long and flat, and
+    // visibility changes along their long sides as fast as in a cube of the same volume.
     let side = (sides.iter().product::<f64>() / cells).cbrt();
-    // Slightly more, so that a side meant to equal the distance is not above it by the rounding of the cube
-    // root.
+    // The distance is slightly larger, so that rounding of the cube root does not split a side that is meant
+    // to equal the distance.
     side * params.min_distance.get() * (1.0 + 1.0 / f64::from(1 << 20))
 }
 
-/// Runs `tile` with the packs of the tiles it needs.
+/// Computes `tile` with the packs of the tiles that it needs.
 ///
 /// # Errors
-/// [`TileError`] when it is cancelled or the backend fails.
+/// [`TileError`] if the tile is cancelled or the backend fails.
 pub fn run(
     job: &JobContext<'_>,
     params: &CubeParams,
@@ -111,18 +112,21 @@ pub fn run(
             if job.items != Granularity::Triangles {
                 let rows = job.rows();
                 for cell in &mut sets.cells {
-                    cell.visible.iter_mut().for_each(|t| *t = rows.item(*t));
+                    cell.visible
+                        .iter_mut()
+                        .for_each(|t| *t = rows.item(TriangleId(*t)));
                     cell.visible.sort_unstable();
                     cell.visible.dedup();
                 }
             }
-            if let Some(pairs) = joining::table(job) {
+            if let Some(pairs) = cell_joins::table(job) {
                 let sight = SightLineTracer::new(job.backend, job.scene.traced())?.up_to(job.far);
-                work.rendered += joining::search(
+                work.rendered += cell_joins::search(
                     job,
                     &sight,
                     &pairs,
-                    (&tile.cell, joining::MANY_ROUNDS),
+                    &tile.cell,
+                    cell_joins::MANY_ROUNDS,
                     watcher,
                     None,
                 )?;
@@ -140,12 +144,12 @@ pub fn run(
     ))
 }
 
-/// The renderer of a job's cubes.
+/// Creates the renderer of a job's cubes.
 fn renderer<'a>(
     job: &JobContext<'a>,
     params: &CubeParams,
     superset: Option<&[u32]>,
-) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
+) -> Result<Box<dyn CubeRenderer + 'a>, TracerError> {
     layers::renderer(
         job.backend,
         job.scene,
@@ -162,10 +166,10 @@ struct CubeWork<'a> {
     min_distance: f64,
     superset: bool,
     cache: SampleCache,
-    /// The samples that this tile rendered itself; kept only by tiles that publish a pack.
+    /// The samples that this tile rendered itself, only for tiles that publish a pack.
     fresh: Vec<(LatticePoint, Arc<VisibilitySample>)>,
     rendered: u64,
-    /// One bit a triangle, all zero between uses.
+    /// A bit per triangle, all zero between uses.
     bits: Vec<u64>,
     watcher: &'a dyn Watcher,
 }
@@ -176,11 +180,11 @@ impl CubeWork<'_> {
         Aabb { min, max }
     }
 
-    /// The triangles that show and meet a cell, I(C), ascending.
+    /// Returns the triangles that show and meet a cell, I(C), in ascending order.
     fn inside(&self, cell: &CellBox) -> Vec<u32> {
         let scene = self.job.scene.scene();
         let mut inside = overlap::triangles_in_box(scene, None, &self.world(cell));
-        inside.retain(|t| scene.kinds().kind(*t).shows());
+        inside.retain(|t| scene.kinds().kind(TriangleId(*t)).shows());
         inside
     }
 
@@ -190,8 +194,8 @@ impl CubeWork<'_> {
         Pack { samples }
     }
 
-    /// V(C) = I(C) ∪ V(∂C) (Nirenstein and Blake 2004, equation 4), ascending, and the number of samples on
-    /// ∂C.
+    /// Computes V(C) = I(C) ∪ V(∂C) (Nirenstein and Blake 2004, equation 4), in ascending order, and the
+    /// number of samples on ∂C.
     fn seen_from(&mut self, cell: &CellBox, inside: &[u32]) -> (Vec<u32>, u32) {
         let samples = self.cache.on_surface(cell);
         let count = samples.len() as u32;
@@ -220,7 +224,7 @@ impl CubeWork<'_> {
         (seen, count)
     }
 
-    /// Whether a grid cell within a box has viewpoints.
+    /// Returns true if a grid cell in a box has viewpoints.
     fn is_reached(&self, within: &CellBox) -> bool {
         let Some(marks) = self.job.viewpoints else {
             return true;
@@ -247,7 +251,7 @@ impl CubeWork<'_> {
             self.cache.finish(cell);
             let unreached = !self.is_reached(cell);
             let visible = if unreached { Vec::new() } else { seen };
-            out.nodes.push(Node::Cell);
+            out.nodes.push(SubtreeNode::Cell);
             out.cells.push(CellSet {
                 visible,
                 samples,
@@ -257,14 +261,14 @@ impl CubeWork<'_> {
             self.watcher.cell_done();
             return Ok(());
         };
-        // Where no cell has viewpoints nothing is sampled; the tree has its cells all the same.
+        // If no cell below has viewpoints, the tree is split without sampling.
         if self.is_reached(cell) {
             self.split(cell, split, &seen)?;
         }
-        // A leaf tile publishes nothing: the samples it needs again are in the cache.
+        // A leaf tile publishes no pack. The samples that it needs again are in the cache.
         self.fresh.clear();
         drop(seen);
-        out.nodes.push(Node::Split(split));
+        out.nodes.push(SubtreeNode::Split(split));
         for child in cell.children(split) {
             let within = overlap::triangles_in_box(
                 self.job.scene.scene(),
@@ -276,7 +280,8 @@ impl CubeWork<'_> {
         Ok(())
     }
 
-    /// Samples the rectangle that splits `cell`, with V(C) only when superset simplification is on.
+    /// Samples the rectangle that splits `cell`. With superset simplification, only the triangles of V(C) are
+    /// rendered.
     fn split(&mut self, cell: &CellBox, split: Split, seen: &[u32]) -> Result<(), TileError> {
         let renderer = renderer(self.job, self.params, self.superset.then_some(seen))?;
         self.sample(cell.cut(split), &*renderer)
@@ -308,13 +313,13 @@ impl CubeWork<'_> {
     }
 }
 
-/// Samples from the cache; missing ones are rendered and inserted.
+/// A source of samples from the cache. Missing samples are rendered and inserted.
 struct CachedSource<'w, 'a> {
     work: &'w mut CubeWork<'a>,
     renderer: &'w dyn CubeRenderer,
 }
 
-/// Cubes rendered between two checks of whether the tile is cancelled.
+/// The number of cubes rendered between two checks for cancellation.
 const BATCH: usize = 256;
 
 impl SampleSource for CachedSource<'_, '_> {
@@ -348,16 +353,18 @@ impl SampleSource for CachedSource<'_, '_> {
             .into_iter()
             .collect::<Option<Vec<_>>>()
             .ok_or_else(|| {
-                TileError::Backend(BackendError::Failed {
+                TileError::Backend(TracerError::Failed {
                     profile: self.work.job.backend.profile().to_owned(),
-                    reason: "it gave fewer samples than points".to_owned(),
+                    reason: "the backend returned fewer samples than requested points".to_owned(),
                 })
             })
     }
 }
 
-/// A sample is interior when the triangle that covers most of its pixels belongs to a closed solid and
-/// shows its inner side (Nirenstein and Blake 2004, section 3.6).
+/// The test for interior samples.
+///
+/// A sample is interior if the triangle that covers most of its pixels belongs to a closed solid and shows
+/// its inner side (Nirenstein and Blake 2004, section 3.6).
 struct SolidExterior<'a> {
     solids: Option<&'a Solids>,
     scene: &'a Scene,
@@ -369,7 +376,9 @@ impl Exterior for SolidExterior<'_> {
         // In the plane of the triangle, or without a visible solid, the sample counts as exterior.
         let judged = self.solids.zip(sample.dominant);
         judged
-            .and_then(|(solids, id)| solids.exterior(self.scene, id, self.lattice.position(p)))
+            .and_then(|(solids, id)| {
+                solids.exterior(self.scene, TriangleId(id), self.lattice.position(p))
+            })
             .unwrap_or(true)
     }
 }

@@ -1,55 +1,63 @@
-//! An adaptive tree from sight lines: a block of small cells is sampled at once, and cells are joined where
-//! their union keeps the triangle budget.
+//! Adaptive trees from sight lines.
 //!
-//! The set of a cell is the union of the sets of its parts. So the sets of the small cells give the sets of
-//! all nodes above them, and these decide where the tree ends. Nirenstein 2003 (section 4.2.2) grows the tree
-//! from the root: a set from cubes on a cell's surface is known before the sets of the cell's parts. A line,
-//! in contrast, costs less per cell when more cells share it. The small cells are not divided further,
-//! because new lines from their parts would miss triangles that the whole cell is known to see; hence the
-//! greatest depth [`MOST_LINE_DEPTH`].
+//! A block of small cells is sampled at once, and cells are joined if their union has at most the triangle
+//! budget.
+//!
+//! The set of a cell is the union of the sets of its parts. The sets of the small cells therefore determine
+//! the sets of all nodes above them, and these sets determine where the tree ends. Nirenstein 2003 (section
+//! 4.2.2) grows the tree from the root: a set from cubes on a cell's surface is known before the sets of the
+//! cell's parts. A line, in contrast, costs less per cell if more cells share it.
+//!
+//! The small cells are not divided further, because new lines from their parts would miss triangles that the
+//! whole cell is known to see. This is the reason for the maximum depth [`MOST_LINE_DEPTH`].
 
 use sightline_model::CellStats;
-use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, Node};
+use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, SubtreeNode};
 use sightline_trace::lines::grid::CellGrid;
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
 use super::rounds::Tolerance;
-use super::work::{Work, columns, share};
+use super::tile_sampling::{TileSampling, columns, share};
 use crate::context::{JobContext, TileError};
 
-/// Levels of the tree that one block samples: 8×8×8 cells, fewer along the short axes of a flat cell.
+/// Maximum number of levels of the tree that one block samples: 8×8×8 cells, fewer along the short axes of a
+/// flat cell.
 const LEVELS: u32 = 9;
 
-// The specification refuses deeper trees.
+// The specification rejects deeper trees.
 const _: () = assert!(MOST_LINE_DEPTH == FORCED_DEPTH + LEVELS);
-/// Greatest margin of a grid, in cells: smaller cells are not made where the rounding of coordinates would
-/// lose more lines than this.
+/// Maximum margin of a grid ([`CellGrid::margin`]), as a fraction of a cell. The tree has no further level if
+/// the rounding of coordinates would need a larger margin.
 const MOST_MARGIN: f32 = 1.0 / 16.0;
 
-/// Runs a leaf tile of an adaptive tree, whose small cells are finished at an expected error.
+/// Computes a leaf tile of an adaptive tree, whose small cells are finished at an expected error.
 ///
 /// # Errors
-/// [`TileError`] when it is cancelled or the tracer fails.
-pub fn run(work: &Work<'_>, error: f64, tile: &Tile) -> Result<(CellSets, u64), TileError> {
-    let Work { job, watcher, .. } = work;
+/// [`TileError`] if the tile is cancelled or the tracer fails.
+pub fn run(
+    sampling: &TileSampling<'_>,
+    error: f64,
+    tile: &Tile,
+) -> Result<(CellSets, u64), TileError> {
+    let TileSampling { job, watcher, .. } = sampling;
     let (levels, sides) = regular(job, &tile.cell, tile.depth);
     let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
-    let mut block = work.block(&tile.cell, sides, number, |_| u64::MAX);
+    let mut block = sampling.block(&tile.cell, sides, number, |_| u64::MAX);
     // The number of finished cells is unknown until the tree is built.
-    block.silent = true;
+    block.caller_reports_cells = true;
     block.sample(error, &[], Tolerance::Raised)?;
-    share(work, &mut block);
+    share(sampling, &mut block);
     let mut sampled = Sampled {
         grid: block.grid().clone(),
-        of: tile.cell,
+        cell: tile.cell,
         levels,
         columns: columns(&block),
         stats: block.stats().to_vec(),
     };
     let rays = sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
     drop(block);
-    let part = sampled.part(job, &tile.cell, (tile.depth, 0));
+    let part = sampled.part(job, &tile.cell, tile.depth, 0);
     part.cells.iter().for_each(|_| watcher.cell_done());
     Ok((
         CellSets {
@@ -63,26 +71,26 @@ pub fn run(work: &Work<'_>, error: f64, tile: &Tile) -> Result<(CellSets, u64), 
 }
 
 /// A part of the tree, in preorder.
-struct Part {
-    nodes: Vec<Node>,
+struct Subtree {
+    nodes: Vec<SubtreeNode>,
     cells: Vec<CellSet>,
-    /// Ids of the triangles seen from this part, ascending.
+    /// The ids of the triangles seen from this part, in ascending order.
     seen: Vec<u32>,
     stats: CellStats,
 }
 
-/// The sampled cells below a cell.
+/// The sampled small cells below a cell.
 struct Sampled {
     grid: CellGrid,
-    /// The cell, and levels below it.
-    of: CellBox,
+    /// The cell that contains the small cells.
+    cell: CellBox,
     levels: u32,
     columns: Vec<Vec<u32>>,
     stats: Vec<CellStats>,
 }
 
-/// The number of regular levels below a cell, at most [`LEVELS`], and the number of cells of the last one
-/// along each axis.
+/// Returns the number of regular levels below a cell, at most [`LEVELS`], and the number of cells of the last
+/// level along each axis.
 fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
     let (min, max) = cell.world(&job.lattice);
     let (mut sides, mut cells) = ([1; 3], vec![*cell]);
@@ -91,7 +99,7 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
             .iter()
             .map(|c| job.division.split(&job.lattice, c, depth + level))
             .collect();
-        // The tree ends where no plane is left; this can happen in some cells of a level only.
+        // The tree ends if no plane is left. This can happen in some cells of a level only.
         let Some(splits) = splits else {
             return (level, sides);
         };
@@ -115,29 +123,29 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
 }
 
 impl Sampled {
-    /// The tree of a cell at a depth, `level` levels below the cell of the block.
-    fn part(&mut self, job: &JobContext<'_>, cell: &CellBox, (depth, level): (u32, u32)) -> Part {
+    /// Builds the tree of a cell at a depth, `level` levels below the cell of the block.
+    fn part(&mut self, job: &JobContext<'_>, cell: &CellBox, depth: u32, level: u32) -> Subtree {
         let split = job
             .division
             .split(&job.lattice, cell, depth)
             .filter(|_| level < self.levels);
         let Some(split) = split else {
             let (seen, stats) = self.take(cell);
-            return Part::leaf(seen, stats);
+            return Subtree::leaf(seen, stats);
         };
         let [below, above] = cell
             .children(split)
-            .map(|c| self.part(job, &c, (depth + 1, level + 1)));
+            .map(|c| self.part(job, &c, depth + 1, level + 1));
         let seen = union(&below.seen, &above.seen);
         let stats = below.stats.joined(&above.stats);
         if !job.division.wants_split(seen.len(), depth) {
-            return Part::leaf(seen, stats);
+            return Subtree::leaf(seen, stats);
         }
-        let mut nodes = vec![Node::Split(split)];
+        let mut nodes = vec![SubtreeNode::Split(split)];
         nodes.extend(below.nodes.into_iter().chain(above.nodes));
         let mut cells = below.cells;
         cells.extend(above.cells);
-        Part {
+        Subtree {
             nodes,
             cells,
             seen,
@@ -145,11 +153,12 @@ impl Sampled {
         }
     }
 
-    /// The set and the statistics of one of the small cells.
+    /// Removes and returns the set of a small cell, and returns the cell's statistics.
     fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
         let sides = self.grid.cells();
-        let at = [0, 1, 2]
-            .map(|a| (cell.lo[a] - self.of.lo[a]) / ((self.of.hi[a] - self.of.lo[a]) / sides[a]));
+        let at = [0, 1, 2].map(|a| {
+            (cell.lo[a] - self.cell.lo[a]) / ((self.cell.hi[a] - self.cell.lo[a]) / sides[a])
+        });
         let stats = self.stats[((at[2] * sides[1] + at[1]) * sides[0] + at[0]) as usize];
         (
             std::mem::take(&mut self.columns[self.grid.slot(at).index()]),
@@ -158,7 +167,7 @@ impl Sampled {
     }
 }
 
-impl Part {
+impl Subtree {
     fn leaf(seen: Vec<u32>, stats: CellStats) -> Self {
         let cell = CellSet {
             visible: seen.clone(),
@@ -166,7 +175,7 @@ impl Part {
             ..CellSet::default()
         };
         Self {
-            nodes: vec![Node::Cell],
+            nodes: vec![SubtreeNode::Cell],
             cells: vec![cell],
             seen,
             stats,
@@ -174,8 +183,9 @@ impl Part {
     }
 }
 
-/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level plus
-/// the cell's index in the level.
+/// Returns a unique number for each cell of each level of the tree, for the cell's random numbers.
+///
+/// The number is 2 to the power of the level plus the cell's index in the level.
 fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64 {
     let step = [0, 1, 2].map(|a| (block.hi[a] - block.lo[a]) / sides[a]);
     let many = [0, 1, 2].map(|a| u64::from(units[a] / step[a]));
@@ -183,7 +193,7 @@ fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64
     many.iter().product::<u64>() + (z * many[1] + y) * many[0] + x
 }
 
-/// The union of two ascending lists.
+/// Returns the union of two ascending lists.
 fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
     let mut out = Vec::with_capacity(a.len().max(b.len()));
     let (mut i, mut j) = (0, 0);
@@ -203,8 +213,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_cell_of_every_level_has_a_number_of_its_own() {
-        // Halved along x, y, x, z; blocks of two levels each.
+    fn every_cell_of_every_level_has_unique_number() {
+        // The cell is halved along x, y, x, z, in blocks of two levels each.
         let units = [1 << 16; 3];
         let root = CellBox {
             lo: [0; 3],
@@ -236,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_union_is_ascending_and_has_each_once() {
+    fn union_is_ascending_without_duplicates() {
         assert_eq!(union(&[1, 3, 5], &[]), [1, 3, 5]);
         assert_eq!(union(&[1, 3, 5], &[0, 3, 4, 9]), [0, 1, 3, 4, 5, 9]);
     }

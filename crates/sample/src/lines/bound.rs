@@ -1,18 +1,18 @@
 //! The bound on missed sight lines, from held-out lines.
 //!
-//! From a cell, n independent sight lines are cast that took no part in the search: origins are uniform in
-//! the cell, directions uniform in the pixels of a visibility cube. When m of them meet a triangle outside
-//! the cell's set, the fraction of all such lines is at most [`sightline_model::bound::upper_bound`] with
+//! From a cell, n independent sight lines are cast that the search does not use: origins are uniform in the
+//! cell, directions uniform in the pixels of a visibility cube. If m of the lines meet a triangle outside the
+//! cell's set, the fraction of all such lines is at most [`sightline_model::bound::upper_bound`] with
 //! confidence 1 − α (Clopper and Pearson 1934). The bound holds for the average over the cell, not for the
 //! worst viewpoint.
 //!
-//! A cell that does not pass is sampled further and tested again with new lines. Test k has the error
-//! probability α·2⁻ᵏ, so over any number of tests the probability of a wrong bound stays below α. Triangles
-//! found by a test are added to the set, which only lowers the error.
+//! A cell that exceeds the bound is sampled further and has another look with new lines. Look k has the error
+//! probability α·2⁻ᵏ, so over any number of looks the probability of a wrong bound stays below α. A look adds
+//! the triangles that it finds to the set, which only lowers the error.
 
 use sightline_model::numbers::BOUND_AIM;
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_trace::TracerError;
 use sightline_trace::cube::{SKY, face_basis};
 use sightline_trace::lines::pairs::Pairs;
 use sightline_trace::packet::{LANES, Packet};
@@ -22,44 +22,46 @@ use super::block::{Block, Scratch};
 use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
 use crate::context::TileError;
 
-/// Number of tests after which a cell keeps the bound it has.
+/// Maximum number of looks at a cell.
 const MOST_LOOKS: u32 = 12;
-/// Sight lines of the first test, in units of one over the required bound. Each later test takes one unit
-/// more, because its confidence is higher. With six units a cell passes with one miss.
+/// The number of sight lines of the first look, in units of one over the required bound. Each later look has
+/// one unit more, because its confidence is higher. With six units a cell passes with one miss.
 const LINES: f64 = 6.0;
-/// Lines traced between two checks of the clock.
+/// The number of lines traced between two checks of the deadline.
 const BATCH: usize = 1 << 14;
-/// Names of the streams of random numbers.
+/// The names of the streams of random numbers.
 const CHECK: u64 = 5;
 const CHECK_CELLS: u64 = 10;
 const JOIN_MORE: u64 = 11;
 
-/// The expected error at which the tests begin.
+/// Returns the expected error at which the looks begin.
 fn first_aim(target: f64, most: f64) -> f64 {
     target.min(most * BOUND_AIM)
 }
 
 impl Block<'_> {
-    /// Samples for [`Self::sample_to_bound`] before the first test.
+    /// Samples all cells before the first look of [`Self::sample_to_bound`]. `target` is the target error,
+    /// and `most` the maximum bound; both are fractions of the sight lines.
     ///
     /// # Errors
-    /// As [`Block::sample`].
+    /// The errors of [`Block::sample`].
     pub fn sample_before_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
         // A cell is finished when its bound holds.
-        self.silent = true;
+        self.caller_reports_cells = true;
         // The bound has no per-cell tolerance.
         self.sample(first_aim(target, most), &[], Tolerance::Equal)
     }
 
-    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, until
-    /// the time is up, or until a cell has had its most tests. The statistics of a cell hold its bound.
-    /// [`Self::sample_before_bound`] comes before.
+    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`.
+    ///
+    /// Sampling also ends at the deadline, or when a cell has had the maximum number of looks. The statistics
+    /// of a cell contain its bound. Call [`Self::sample_before_bound`] first.
     ///
     /// # Errors
-    /// As [`Block::sample`].
+    /// The errors of [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
         let mut aim = first_aim(target, most);
-        let mut open: Vec<usize> = self.active();
+        let mut open: Vec<usize> = self.table.active();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
             self.look_at(&open, look, lines)?;
@@ -74,41 +76,44 @@ impl Block<'_> {
             self.sample(aim, &again, Tolerance::Equal)?;
         }
         self.tell_done(open.len());
-        for cell in self.active() {
-            // Sampling may have aimed below both limits; a missed aim does not matter then.
+        for cell in self.table.active() {
+            // Sampling may have aimed below both limits. A missed aim is then irrelevant.
             let bounded = self.is_bounded(cell, most);
-            let missed = self.stats[cell].unfinished && self.left(cell, LEFT_AFTER_ROUND) > target;
-            self.stats[cell].unfinished = !bounded || missed;
+            let missed =
+                self.table.stats[cell].unfinished && self.left(cell, LEFT_AFTER_ROUND) > target;
+            self.table.stats[cell].unfinished = !bounded || missed;
         }
         Ok(())
     }
 
     fn is_bounded(&self, cell: usize, most: f64) -> bool {
-        self.stats[cell].bound().is_some_and(|b| b <= most)
+        self.table.stats[cell].bound().is_some_and(|b| b <= most)
     }
 
-    /// Joins cells until of every cell the bound on the sight lines that cross a cell which is no pair
-    /// with it is at most `most`, too, until the time is up, or until a cell has had its most tests. The
-    /// tests of [`Self::sample_to_bound`] have counted these lines as well, so few cells are left. It
-    /// changes no set of triangles.
+    /// Joins cells until the bound on unjoined sight lines of every cell is at most `most`.
+    ///
+    /// An unjoined sight line crosses a cell that is not a pair with its own cell. The work also ends at the
+    /// deadline, or when a cell has had the maximum number of looks. The looks of [`Self::sample_to_bound`]
+    /// also counted these lines, so few cells remain. The sets of triangles do not change.
     ///
     /// # Errors
-    /// As [`Block::sample`].
+    /// The errors of [`Block::sample`].
     pub fn join_to_bound(&mut self, most: f64) -> Result<(), TileError> {
-        if self.tools.pairs.is_none() {
+        if self.inputs.pairs.is_none() {
             return Ok(());
         }
-        let mut open = self.active();
+        let mut open = self.table.active();
         for _ in 1..MOST_LOOKS {
             let above = |b: Option<f64>| b.is_some_and(|b| b > most);
             open.retain(|c| {
-                above(self.stats[*c].cell_bound()) && self.stats[*c].bound_cell_look < MOST_LOOKS
+                above(self.table.stats[*c].cell_bound())
+                    && self.table.stats[*c].bound_cell_look < MOST_LOOKS
             });
             if open.is_empty() || self.late() {
                 break;
             }
             let plan_look = |c: &usize| {
-                let look = self.stats[*c].bound_cell_look + 1;
+                let look = self.table.stats[*c].bound_cell_look + 1;
                 (
                     *c,
                     (look, ((LINES + f64::from(look - 1)) / most).ceil() as u64),
@@ -118,29 +123,30 @@ impl Block<'_> {
             self.each(&work, |block, s, (cell, (look, lines))| {
                 block.join_more(s, *cell, *look, *lines)
             })?;
-            self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
+            self.held = self.inputs.pairs.map_or_else(Vec::new, Pairs::copy);
             self.each(&work, |block, s, (cell, (look, lines))| {
                 block.check_cells(s, *cell, *look, *lines)
             })?;
         }
-        for cell in self.active() {
-            self.stats[cell].unfinished |= self.stats[cell].cell_bound().is_none_or(|b| b > most);
+        for cell in self.table.active() {
+            self.table.stats[cell].unfinished |=
+                self.table.stats[cell].cell_bound().is_none_or(|b| b > most);
         }
         Ok(())
     }
 
-    /// Casts lines from a cell that do nothing but join cells.
+    /// Casts lines from a cell that only join cells.
     fn join_more(
         &self,
         s: &mut Scratch,
         cell: usize,
         look: u32,
         lines: u64,
-    ) -> Result<CellStats, BackendError> {
-        let Some((pairs, _)) = self.pairs_of(&self.cells[cell]) else {
+    ) -> Result<CellStats, TracerError> {
+        let Some((pairs, _)) = self.pairs_of(&self.table.cells[cell]) else {
             return Ok(CellStats::default());
         };
-        self.cast(s, cell, (look, JOIN_MORE), lines, |_, s, packet, lane| {
+        self.cast(s, cell, look, JOIN_MORE, lines, |_, s, packet, lane| {
             let (line, end) = (
                 s.packets[packet].ray(lane),
                 s.packets[packet].distance[lane],
@@ -150,19 +156,20 @@ impl Block<'_> {
         Ok(CellStats::default())
     }
 
-    /// Casts held-out lines from a cell and counts those that cross a cell which is no pair with it.
+    /// Casts held-out lines from a cell and counts the lines that cross a cell that is not a pair with this
+    /// cell.
     fn check_cells(
         &self,
         s: &mut Scratch,
         cell: usize,
         look: u32,
         lines: u64,
-    ) -> Result<CellStats, BackendError> {
+    ) -> Result<CellStats, TracerError> {
         let mut stats = CellStats::default();
-        let Some((pairs, slot)) = self.pairs_of(&self.cells[cell]) else {
+        let Some((pairs, slot)) = self.pairs_of(&self.table.cells[cell]) else {
             return Ok(stats);
         };
-        let cast = self.cast(s, cell, (look, CHECK_CELLS), lines, |_, s, packet, lane| {
+        let cast = self.cast(s, cell, look, CHECK_CELLS, lines, |_, s, packet, lane| {
             let (line, end) = (
                 s.packets[packet].ray(lane),
                 s.packets[packet].distance[lane],
@@ -172,7 +179,7 @@ impl Block<'_> {
         })?;
         stats.rays[LineKind::Check as usize] = cast;
         if cast < lines {
-            // An incomplete test gives no bound.
+            // An incomplete look has no bound.
             return Ok(CellStats {
                 rays: stats.rays,
                 ..CellStats::default()
@@ -182,17 +189,17 @@ impl Block<'_> {
         Ok(stats)
     }
 
-    /// Test number `look`: casts `lines` held-out lines from every cell.
+    /// Performs look number `look`: casts `lines` held-out lines from every cell.
     ///
     /// # Errors
-    /// As [`Block::sample`].
+    /// The errors of [`Block::sample`].
     pub fn look(&mut self, look: u32, lines: u64) -> Result<(), TileError> {
-        let all = self.active();
+        let all = self.table.active();
         self.look_at(&all, look, lines)
     }
 
     fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
-        self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
+        self.held = self.inputs.pairs.map_or_else(Vec::new, Pairs::copy);
         let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
         self.ask_for_device()?;
         if self.is_on_device() {
@@ -206,19 +213,19 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Casts `lines` held-out lines from `cell`; counts those that meet a triangle outside its set, and those
-    /// that cross a cell which is no pair with it.
+    /// Casts `lines` held-out lines from `cell`. Counts the lines that meet a triangle outside the cell's
+    /// set, and the lines that cross a cell that is not a pair with this cell.
     fn check(
         &self,
         s: &mut Scratch,
         cell: usize,
         lines: u64,
         look: u32,
-    ) -> Result<CellStats, BackendError> {
-        let c = self.cells[cell];
+    ) -> Result<CellStats, TracerError> {
+        let c = self.table.cells[cell];
         let (mut misses, mut cell_misses) = (0, 0);
         let pairs = self.pairs_of(&c);
-        let cast = self.cast(s, cell, (look, CHECK), lines, |block, s, k, lane| {
+        let cast = self.cast(s, cell, look, CHECK, lines, |block, s, k, lane| {
             let packet = &s.packets[k];
             if let Some((pairs, slot)) = pairs {
                 pairs.join_line(packet.ray(lane), 0.0, packet.distance[lane], &mut s.joined);
@@ -233,22 +240,25 @@ impl Block<'_> {
                 misses += 1;
                 let (origin, direction) = packet.ray(lane);
                 for (triangle, at) in new {
-                    // A triangle of one side is not seen from beyond it.
-                    let to = if block.tools.sight.is_one_way() {
+                    // A triangle with one side is not seen from beyond it.
+                    let to = if block.inputs.sight.is_one_way() {
                         at
                     } else {
                         end.1
                     };
-                    block.grid.walk(origin, direction, 0.0, to, &mut s.crossed);
-                    block.only_reached(&mut s.crossed);
-                    block.credit(triangle, &s.crossed);
+                    block
+                        .table
+                        .grid
+                        .walk(origin, direction, 0.0, to, &mut s.crossed);
+                    block.table.only_reached(&mut s.crossed);
+                    block.table.credit(triangle, &s.crossed);
                 }
             }
         })?;
         let mut stats = CellStats::default();
         stats.rays[LineKind::Check as usize] = cast;
         if cast < lines {
-            // An incomplete test gives no bound.
+            // An incomplete look has no bound.
             return Ok(stats);
         }
         stats.finds[LineKind::Check as usize] = misses;
@@ -263,23 +273,27 @@ impl Block<'_> {
         Ok(stats)
     }
 
-    /// Casts `lines` independent lines from `cell`, of the stream of random numbers with this name, and calls
-    /// `each` with the packet and the lane of each. Returns their number, which is less when the time is up.
+    /// Casts `lines` independent lines from `cell`. `test` (the number of the look) and `stream` select the
+    /// random numbers.
+    ///
+    /// Calls `each` with the packet and the lane of each line. Returns the number of lines, which is smaller
+    /// if the deadline passes.
     fn cast(
         &self,
         s: &mut Scratch,
         cell: usize,
-        (look, stream): (u32, u64),
+        test: u32,
+        stream: u64,
         lines: u64,
         mut each: impl FnMut(&Self, &mut Scratch, usize, usize),
-    ) -> Result<u64, BackendError> {
-        let c = self.cells[cell];
-        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), stream]);
+    ) -> Result<u64, TracerError> {
+        let c = self.table.cells[cell];
+        let mut random = Hashed::new(&[self.inputs.seed, c.number, u64::from(test), stream]);
         let mut cast = 0;
         while cast < lines && !self.late() {
             let batch = (lines - cast).min(BATCH as u64) as usize;
-            // Drawn independently, then sorted so that consecutive lines have similar directions; the order
-            // changes no count.
+            // The lines are drawn independently, then sorted so that consecutive lines have similar
+            // directions. The order does not affect the counts.
             let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
             let mut drawn: Vec<(u32, [f32; 6])> = (0..batch)
                 .map(|_| {
@@ -287,7 +301,7 @@ impl Block<'_> {
                     let [u, v] = [random.unit(), random.unit()];
                     let [forward, right, up] = face_basis(face);
                     let d = forward + right * (2.0 * u - 1.0) + up * (2.0 * v - 1.0);
-                    let o = c.random_origin(self.tools.places, &mut random);
+                    let o = c.random_origin(self.inputs.region, &mut random);
                     let key =
                         (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
                     (key, [o[0], o[1], o[2], d.x, d.y, d.z])
@@ -302,7 +316,7 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools
+            self.inputs
                 .sight
                 .trace_each(&mut s.packets, &mut s.passed, self.step)?;
             for k in 0..s.packets.len() {

@@ -1,10 +1,12 @@
-//! Candidates of a cell: triangles that a neighbouring cell sees and this cell does not, adjacent to a
-//! triangle that this cell sees, and large enough as seen from it. Where items are clusters or objects,
-//! candidates are triangles of an item that this cell does not see, adjacent to a seen one or not.
+//! The candidates of a cell: triangles that a neighbouring cell sees and this cell does not.
+//!
+//! A candidate is adjacent to a triangle that this cell sees, and large enough as seen from the cell. If
+//! items are clusters or objects, candidates are triangles of an item that this cell does not see, adjacent
+//! to a seen triangle or not.
 //!
 //! Sixteen nearby candidates share an origin close to the face through which the neighbours see them: a point
-//! of that face belongs to both cells. Each line is traced in both directions. The sampler then aims
-//! from the same origin at the neighbours of the triangles that such lines find ([`super::flood`]).
+//! of that face belongs to both cells. Each line is traced in both directions. The sampler then aims from the
+//! same origin at the neighbours of the triangles that such lines find ([`super::flood`]).
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -12,7 +14,8 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_scene::TriangleId;
+use sightline_trace::TracerError;
 use sightline_trace::cube::SKY;
 use sightline_trace::lines::grid::Slot;
 use sightline_trace::packet::{LANES, Packet};
@@ -21,26 +24,26 @@ use sightline_trace::surface::point_on;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 use super::flood::Find;
-use super::ledger::Try;
+use super::observer::Attempt;
 use crate::context::TileError;
 
-/// Triangles that a thread examines at a time.
+/// The number of triangles that a thread examines at a time.
 const STRIPE: usize = 4096;
-/// Greatest distance of an origin from the face it is close to, as a part of the cell's size.
+/// Maximum distance of an origin from its face, as a fraction of the cell's size.
 const DEPTH: f32 = 0.1;
-/// Least cosine in a triangle's solid angle: a triangle seen edge-on from the cell's centre may face another
-/// point of the cell.
+/// Minimum cosine in a triangle's solid angle: a triangle seen edge-on from the cell's centre may face
+/// another point of the cell.
 const LEAST_FACING: f32 = 0.25;
-/// Most candidates of an item that is not a triangle, in a round.
+/// Maximum number of candidates of an item per round, unless items are triangles.
 const TRIES_OF_ITEM: usize = 8;
-/// Name of the stream of random numbers.
+/// The name of the stream of random numbers.
 const AIM: u64 = 3;
 
 /// A triangle to aim at.
 #[derive(Clone, Copy)]
 pub(super) struct Candidate {
     triangle: u32,
-    /// Part of the sphere seen from the cell's centre that it would cover.
+    /// The fraction of the sphere around the cell's centre that the triangle would cover.
     part: f32,
 }
 
@@ -50,12 +53,13 @@ struct Aiming {
     round: u32,
     random: Hashed,
     stats: CellStats,
-    /// Time of the floods, if an account is kept.
+    /// The time of the floods, if an observer records it.
     flooding: Duration,
 }
 
 impl Block<'_> {
-    /// Aims from each cell of `open` at its candidates that cover at least the part `least` of the sphere.
+    /// Aims from each cell of `open` at the candidates that cover at least the fraction `least` of the
+    /// sphere.
     pub(super) fn aim_at_candidates(
         &mut self,
         open: &[usize],
@@ -73,20 +77,20 @@ impl Block<'_> {
         )
     }
 
-    /// The candidates of each cell of `open` in Morton order: those that cover at least the part `least` of
-    /// the sphere as seen from the cell's centre.
+    /// Finds the candidates of each cell of `open`, in Morton order. A candidate covers at least the fraction
+    /// `least` of the sphere around the cell's centre.
     pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<Candidate>> {
-        let words = self.grid.words();
+        let words = self.table.grid.words();
         let mut wanted = vec![0u64; words];
         let mut place = vec![u32::MAX; words * 64];
         for (i, cell) in open.iter().enumerate() {
-            let slot = self.cells[*cell].slot;
+            let slot = self.table.cells[*cell].slot;
             wanted[slot.word as usize] |= 1 << slot.bit;
             place[slot.index()] = i as u32;
         }
-        let is_finer = self.tools.rows.are_finer();
+        let is_finer = self.inputs.rows.are_finer();
         let stripes: Vec<Vec<(u32, Candidate)>> = self
-            .tools
+            .inputs
             .surface
             .morton
             .par_chunks(STRIPE)
@@ -94,21 +98,24 @@ impl Block<'_> {
                 let mut found = Vec::new();
                 let mut near = vec![0u64; words];
                 for &triangle in stripe {
-                    let row = self.bits.row(self.row(triangle));
+                    let row = self.table.bits.row(self.table.row(triangle));
                     if row.iter().all(|w| *w == 0) {
                         continue;
                     }
                     let seen = if is_finer {
                         // The cells that lack the item. Below, a neighbour must see the triangle.
                         near.fill(u64::MAX);
-                        self.items.row(self.tools.rows.item(triangle))
+                        self.table
+                            .items
+                            .row(self.inputs.rows.item(TriangleId(triangle)))
                     } else {
-                        // The cells that see a neighbour of the triangle and not the triangle: mostly none.
+                        // The cells that see a neighbour of the triangle and not the triangle itself: mostly
+                        // none.
                         near.fill(0);
-                        for beside in self.tools.surface.neighbours[triangle as usize] {
+                        for beside in self.inputs.surface.neighbours[triangle as usize] {
                             if beside != SKY {
                                 near.iter_mut()
-                                    .zip(self.bits.row(self.row(beside)))
+                                    .zip(self.table.bits.row(self.table.row(beside)))
                                     .for_each(|(n, seen)| *n |= seen);
                             }
                         }
@@ -124,13 +131,13 @@ impl Block<'_> {
                     }
                     any = 0;
                     for (word, n) in near.iter_mut().enumerate().filter(|(_, n)| **n != 0) {
-                        *n &= self.grid.dilated(row, word);
+                        *n &= self.table.grid.dilated(row, word);
                         any |= *n;
                     }
                     if any == 0 {
                         continue;
                     }
-                    let v = self.tools.scene.triangles()[triangle as usize].v;
+                    let v = self.inputs.scene.triangles()[triangle as usize].v;
                     let area = (v[1] - v[0]).cross(v[2] - v[0]) * 0.5;
                     let (centre, size) = ((v[0] + v[1] + v[2]) / 3.0, area.length());
                     for (word, bits) in near.iter().enumerate() {
@@ -139,9 +146,9 @@ impl Block<'_> {
                             let index = word * 64 + rest.trailing_zeros() as usize;
                             rest &= rest - 1;
                             let i = place[index] as usize;
-                            let cell = &self.cells[open[i]];
+                            let cell = &self.table.cells[open[i]];
                             let to = cell.lo + cell.size * 0.5 - centre;
-                            // Within the cell's own extent the distance from its centre means nothing.
+                            // In the cell's own extent, the distance from the cell's centre has no meaning.
                             let far = to.length_squared().max(cell.size.length_squared() / 12.0);
                             let facing = (to.dot(area).abs() / far.sqrt()).max(LEAST_FACING * size);
                             let part = facing / far / (4.0 * std::f32::consts::PI);
@@ -158,7 +165,7 @@ impl Block<'_> {
         for (i, candidate) in stripes.into_iter().flatten() {
             lists[i as usize].push(candidate);
         }
-        if !self.tools.rows.of_triangles().is_empty() {
+        if !self.inputs.rows.of_triangles().is_empty() {
             lists
                 .par_iter_mut()
                 .for_each(|list| self.largest_of_each(list));
@@ -166,19 +173,20 @@ impl Block<'_> {
         lists
     }
 
-    /// Keeps of the candidates of each item only the largest few, in the same order.
+    /// Keeps only the largest few candidates of each item, in the same order.
     fn largest_of_each(&self, list: &mut Vec<Candidate>) {
         let mut order: Vec<u32> = (0..list.len() as u32).collect();
         let candidate_at = |i: &u32| &list[*i as usize];
         order.sort_by(|a, b| {
             let (a, b) = (candidate_at(a), candidate_at(b));
-            self.row(a.triangle)
-                .cmp(&self.row(b.triangle))
+            self.table
+                .row(a.triangle)
+                .cmp(&self.table.row(b.triangle))
                 .then(b.part.total_cmp(&a.part))
         });
         let mut kept: Vec<u32> = Vec::new();
         for item in order.chunk_by(|a, b| {
-            self.row(candidate_at(a).triangle) == self.row(candidate_at(b).triangle)
+            self.table.row(candidate_at(a).triangle) == self.table.row(candidate_at(b).triangle)
         }) {
             kept.extend(item.iter().take(TRIES_OF_ITEM));
         }
@@ -186,21 +194,24 @@ impl Block<'_> {
         *list = kept.iter().map(|i| list[*i as usize]).collect();
     }
 
-    /// Aims at each of `list` from `cell`, as often as [`Yields::times`] says but at least once, until it is
-    /// met.
+    /// Aims from `cell` at each candidate of `list`, [`YieldTable::times`] times but at least once, until a
+    /// line meets it.
     ///
-    /// [`Yields::times`]: super::yields::Yields::times
+    /// [`YieldTable::times`]: super::yields::YieldTable::times
     pub(super) fn aim(
         &self,
         s: &mut Scratch,
         cell: usize,
         list: &[Candidate],
         round: u32,
-    ) -> Result<CellStats, BackendError> {
-        let start = self.tools.ledger.map(|ledger| (ledger, Instant::now()));
-        let rays = self.stats[cell].rays[LineKind::Candidate as usize];
-        let number = self.cells[cell].number;
-        let random = Hashed::new(&[self.tools.seed, number, u64::from(round), rays, AIM]);
+    ) -> Result<CellStats, TracerError> {
+        let start = self
+            .inputs
+            .observer
+            .map(|observer| (observer, Instant::now()));
+        let rays = self.table.stats[cell].rays[LineKind::Candidate as usize];
+        let number = self.table.cells[cell].number;
+        let random = Hashed::new(&[self.inputs.seed, number, u64::from(round), rays, AIM]);
         let mut aiming = Aiming {
             cell,
             round,
@@ -212,14 +223,14 @@ impl Block<'_> {
         let Aiming {
             stats, flooding, ..
         } = aiming;
-        if let Some((ledger, start)) = start {
+        if let Some((observer, start)) = start {
             let all = start.elapsed();
             for (kind, time) in [
                 (LineKind::Candidate, all - flooding),
                 (LineKind::Flood, flooding),
             ] {
-                let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
-                ledger.spent(round, kind, rays, finds, time);
+                let [rays, finds] = [stats.rays, stats.finds].map(|counts| counts[kind as usize]);
+                observer.spent(round, kind, rays, finds, time);
             }
         }
         Ok(stats)
@@ -230,9 +241,9 @@ impl Block<'_> {
         s: &mut Scratch,
         aiming: &mut Aiming,
         list: &[Candidate],
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         s.next_tag();
-        let chunk = (self.tools.sight.batch() / 2).max(1);
+        let chunk = (self.inputs.sight.batch() / 2).max(1);
         let mut wanted = list.to_vec();
         for time in 0.. {
             if time > 0 {
@@ -248,7 +259,7 @@ impl Block<'_> {
                 if self.late() {
                     return Ok(());
                 }
-                // An earlier line may have met it since.
+                // An earlier line may have met the candidate.
                 let unmet = |c: &&Candidate| self.is_unmet(s, c);
                 let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
                 self.try_some(s, aiming, &some, time)?;
@@ -259,20 +270,22 @@ impl Block<'_> {
 
     /// Returns true if no line of this aiming has met the item of a candidate.
     fn is_unmet(&self, s: &Scratch, candidate: &Candidate) -> bool {
-        match self.tools.rows.are_finer() {
-            true => s.met_items[self.tools.rows.item(candidate.triangle) as usize] != s.tag,
-            false => s.met[self.row(candidate.triangle) as usize] != s.tag,
+        match self.inputs.rows.are_finer() {
+            true => {
+                s.met_items[self.inputs.rows.item(TriangleId(candidate.triangle)) as usize] != s.tag
+            }
+            false => s.met[self.table.row(candidate.triangle) as usize] != s.tag,
         }
     }
 
-    /// Try number `time` at each of `some`, and the flood from what the lines find.
+    /// Makes attempt number `time` at each of `some`, and floods from the triangles that the lines find.
     fn try_some(
         &self,
         s: &mut Scratch,
         aiming: &mut Aiming,
         some: &[Candidate],
         time: u32,
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         let Aiming {
             cell,
             round,
@@ -281,14 +294,18 @@ impl Block<'_> {
             flooding,
         } = aiming;
         let (cell, round) = (*cell, *round);
-        let c = self.cells[cell];
-        let uniform = self.stats[cell].rays[LineKind::Uniform as usize];
+        let c = self.table.cells[cell];
+        let uniform = self.table.stats[cell].rays[LineKind::Uniform as usize];
         s.packets.clear();
         for group in some.chunks(LANES) {
-            let origin = c.origin(self.tools.places, self.eye_for(cell, group, random));
+            let origin = c.origin(self.inputs.region, self.eye_for(cell, group, random));
             let mut ahead = Packet::default();
             for candidate in group {
-                let to = Vec3::from(point_on(self.tools.scene, candidate.triangle, random));
+                let to = Vec3::from(point_on(
+                    self.inputs.scene,
+                    TriangleId(candidate.triangle),
+                    random,
+                ));
                 ahead.push(origin, (to - Vec3::from(origin)).to_array());
             }
             let behind = ahead.reversed(self.step);
@@ -296,9 +313,9 @@ impl Block<'_> {
             s.packets.push(behind);
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
-        self.tools
+        self.inputs
             .sight
-            .trace_each(&mut s.packets, &mut s.passed, self.step)?;
+            .trace_lines(&mut s.packets, &mut s.passed, self.step, false)?;
         let Scratch {
             packets,
             passed,
@@ -321,22 +338,32 @@ impl Block<'_> {
                     || !passed.is_empty()
                         && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields
-                    .count(tally, (candidate.part, time), uniform, found);
-                if let Some(ledger) = self.tools.ledger.filter(|ledger| ledger.wants_tries()) {
-                    ledger.tried(round, self.account(cell, candidate, time, found));
+                    .count(tally, candidate.part, time, uniform, found);
+                if let Some(observer) = self
+                    .inputs
+                    .observer
+                    .filter(|observer| observer.wants_attempts())
+                {
+                    observer.attempted(round, self.account(cell, candidate, time, found));
                 }
                 let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                let ends =
-                    self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                let ends = self.credit_line(
+                    packets,
+                    passed,
+                    halves,
+                    lane,
+                    crossed,
+                    joins.then_some(&mut *joined),
+                );
                 let mut meet = |triangle| {
                     if triangle == SKY {
                         return;
                     }
-                    let row = self.row(triangle);
-                    if self.tools.rows.are_finer() {
-                        met_items[self.tools.rows.item(triangle) as usize] = *tag;
+                    let row = self.table.row(triangle);
+                    if self.inputs.rows.are_finer() {
+                        met_items[self.inputs.rows.item(TriangleId(triangle)) as usize] = *tag;
                     }
-                    if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
+                    if !self.table.bits.seen(row, c.slot) && met[row as usize] != *tag {
                         met[row as usize] = *tag;
                         finds.push(Find {
                             packet: pair as u32,
@@ -350,28 +377,28 @@ impl Block<'_> {
             }
         }
         stats.finds[LineKind::Candidate as usize] += finds.len() as u64;
-        let start = self.tools.ledger.map(|_| Instant::now());
-        self.flood(s, cell, (&mut finds, self.flood_steps), random, stats)?;
+        let start = self.inputs.observer.map(|_| Instant::now());
+        self.flood(s, cell, &mut finds, self.flood_steps, random, stats)?;
         *flooding += start.map_or(Duration::ZERO, |start| start.elapsed());
         Ok(())
     }
 
-    /// What a ledger keeps of a try.
-    fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Try {
+    /// Returns the record of an attempt for an observer.
+    fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Attempt {
         let Candidate { triangle, part } = *candidate;
-        let view_cell = &self.cells[cell];
+        let view_cell = &self.table.cells[cell];
         let faces = (0..6).filter(|face| {
             self.beyond(view_cell.at, *face)
-                .is_some_and(|s| self.seen(triangle, s))
+                .is_some_and(|s| self.table.seen(triangle, s))
         });
-        let neighbours = self.tools.surface.neighbours[triangle as usize];
+        let neighbours = self.inputs.surface.neighbours[triangle as usize];
         let beside = neighbours
             .iter()
-            .filter(|t| **t != SKY && self.seen(**t, view_cell.slot));
+            .filter(|t| **t != SKY && self.table.seen(**t, view_cell.slot));
         let (faces, beside) = (faces.count() as u32, beside.count() as u32);
-        Try {
+        Attempt {
             cell,
-            triangle,
+            triangle: TriangleId(triangle),
             part,
             time,
             faces,
@@ -380,7 +407,7 @@ impl Block<'_> {
         }
     }
 
-    /// The cell beyond a face: along axis `face / 2`, upwards where `face` is even.
+    /// Returns the cell beyond a face: along axis `face / 2`, in positive direction if `face` is even.
     fn beyond(&self, at: [u32; 3], face: usize) -> Option<Slot> {
         let mut next = at;
         next[face / 2] = if face.is_multiple_of(2) {
@@ -388,22 +415,30 @@ impl Block<'_> {
         } else {
             at[face / 2].wrapping_sub(1)
         };
-        self.grid.has(next).then(|| self.grid.slot(next))
+        self.table
+            .grid
+            .has(next)
+            .then(|| self.table.grid.slot(next))
     }
 
-    /// The origin of a group's lines, in fractions of the cell: close to one of the faces through which
-    /// neighbours see the group, drawn by the number of candidates they see.
+    /// Returns the origin of a group's lines, in fractions of the cell.
+    ///
+    /// The origin is close to a face through which neighbours see the group. The face is drawn with weights:
+    /// the numbers of candidates that the neighbours see.
     fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
-        let at = self.cells[cell].at;
+        let at = self.table.cells[cell].at;
         let mut eye = random.point().to_array();
-        if !self.cells[cell].is_whole() {
-            // Its viewpoints need not reach the faces.
+        if !self.table.cells[cell].is_whole() {
+            // The viewpoints of such a cell need not reach its faces.
             return eye;
         }
         let mut votes = [0u32; 6];
         for (face, vote) in votes.iter_mut().enumerate() {
             if let Some(slot) = self.beyond(at, face) {
-                *vote = group.iter().filter(|t| self.seen(t.triangle, slot)).count() as u32;
+                *vote = group
+                    .iter()
+                    .filter(|t| self.table.seen(t.triangle, slot))
+                    .count() as u32;
             }
         }
         let mut pick = (random.unit() * votes.iter().sum::<u32>() as f32) as u32;

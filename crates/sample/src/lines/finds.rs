@@ -1,8 +1,8 @@
-//! The bytes of what items of a phase found: their answers, and the bits that are new in the tables.
+//! The encoding of the results of a phase's items: their answers, and the bits that are new in the tables.
 //!
-//! Numbers are of variable length, lists ascend and hold differences, and zstd packs the whole. The finds of
-//! all items of a phase are equal for every member, so their bytes are, too. Decoding checks every place and
-//! every count before it changes or allocates anything.
+//! Numbers have variable length, lists ascend and contain differences, and zstd compresses the whole. The
+//! results of all items of a phase are equal for every member, so their bytes are also equal. The decoder
+//! checks every index and every count before it changes or allocates anything.
 
 use std::io::Read as _;
 
@@ -14,22 +14,22 @@ use sightline_trace::lines::tally::Tally;
 
 use crate::crew::ForeignFinds;
 
-/// Compression level. The words of bits hold no long matches.
+/// Compression level. The words of bits contain no long matches.
 const LEVEL: i32 = 1;
-/// Most bytes that finds may unpack to.
+/// Maximum unpacked size of encoded results, in bytes.
 const MAX_UNPACKED: u64 = 4 << 30;
 
 /// The answer of an item.
-pub(super) trait Answer: Send + Sync {
-    /// Appends its bytes.
+pub(super) trait ItemResult: Send + Sync {
+    /// Appends the encoded answer to `out`.
     fn write(&self, out: &mut Vec<u8>);
 
-    /// Reads it from the front of the bytes.
+    /// Reads an answer from the front of `bytes`.
     fn read(bytes: &mut &[u8]) -> Option<Self>
     where
         Self: Sized;
 
-    /// The rays cast for it.
+    /// Returns the number of rays cast for the answer.
     fn rays(&self) -> u64;
 }
 
@@ -38,8 +38,8 @@ fn number(bytes: &mut &[u8]) -> Option<u64> {
     varint::read(bytes, varint::MOST_BYTES).ok()
 }
 
-/// A number of rays.
-impl Answer for u64 {
+/// An answer that is a number of rays.
+impl ItemResult for u64 {
     fn write(&self, out: &mut Vec<u8>) {
         varint::write(out, *self);
     }
@@ -53,8 +53,8 @@ impl Answer for u64 {
     }
 }
 
-/// A number of rays, and an estimate from them.
-impl Answer for (u64, f64) {
+/// An answer that is a number of rays and an estimate from them.
+impl ItemResult for (u64, f64) {
     fn write(&self, out: &mut Vec<u8>) {
         varint::write(out, self.0);
         out.extend(self.1.to_bits().to_le_bytes());
@@ -69,8 +69,8 @@ impl Answer for (u64, f64) {
     }
 }
 
-/// The statistics of a cell, and what aiming at its candidates yielded.
-impl Answer for (CellStats, Tally) {
+/// An answer that is the statistics of a cell and the tally of attempts at its candidates.
+impl ItemResult for (CellStats, Tally) {
     fn write(&self, out: &mut Vec<u8>) {
         self.0
             .numbers()
@@ -102,7 +102,8 @@ fn word(bytes: &mut &[u8]) -> Option<u64> {
     Some(u64::from_le_bytes(*first))
 }
 
-/// Decoded finds: answers by item, and words of bits by their places in the tables.
+/// Decoded results: answers by index of the item, and words of bits by their indices in the table of
+/// triangles (`seen`) and in the table of pairs (`joined`).
 pub(super) struct Finds<A> {
     pub(super) answers: Vec<(usize, A)>,
     pub(super) seen: Vec<(usize, u64)>,
@@ -111,7 +112,7 @@ pub(super) struct Finds<A> {
 
 /// Encodes the answers of some of `items` items, by ascending number, with the bits that are new in the
 /// tables since the last barrier.
-pub(super) fn encode<'b, A: Answer + 'b>(
+pub(super) fn encode<'b, A: ItemResult + 'b>(
     items: usize,
     answers: impl Iterator<Item = (usize, &'b A)>,
     bits: Option<&SeenBits>,
@@ -136,11 +137,11 @@ pub(super) fn encode<'b, A: Answer + 'b>(
         pairs.each_new(|at, word| words.push(at, word));
     }
     words.end(&mut raw);
-    // Writing to memory does not fail; finds that are cut short are refused by whoever reads them.
+    // Writing to memory does not fail. The decoder rejects results that are cut short.
     zstd::stream::encode_all(raw.as_slice(), LEVEL).unwrap_or_default()
 }
 
-/// Words by ascending place.
+/// Words by ascending index.
 #[derive(Default)]
 struct Words {
     bytes: Vec<u8>,
@@ -161,11 +162,11 @@ impl Words {
     }
 }
 
-/// Decodes finds of a phase of `items` items.
+/// Decodes the results of a phase of `items` items.
 ///
 /// # Errors
-/// [`ForeignFinds`] saying what is wrong.
-pub(super) fn decode<A: Answer>(
+/// [`ForeignFinds`] with the first fault of the bytes.
+pub(super) fn decode<A: ItemResult>(
     bytes: &[u8],
     items: usize,
     bits: Option<&SeenBits>,
@@ -174,10 +175,12 @@ pub(super) fn decode<A: Answer>(
     let mut raw = Vec::new();
     zstd::stream::Decoder::new(bytes)
         .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
-        .map_err(|_| ForeignFinds("they are not zstd data"))?;
+        .map_err(|_| ForeignFinds("the bytes are not zstd data"))?;
     let mut rest = raw.as_slice();
     if number(&mut rest) != Some(items as u64) {
-        return Err(ForeignFinds("their phase has another number of items"));
+        return Err(ForeignFinds(
+            "the results have another number of items than the phase",
+        ));
     }
     let count = count(&mut rest, 2)?;
     let (mut answers, mut next) = (Vec::with_capacity(count.min(items)), 0u64);
@@ -185,7 +188,7 @@ pub(super) fn decode<A: Answer>(
         let item = number(&mut rest)
             .and_then(|gap| next.checked_add(gap))
             .filter(|i| *i < items as u64);
-        let item = item.ok_or(ForeignFinds("an item is out of range"))?;
+        let item = item.ok_or(ForeignFinds("the index of an item is out of range"))?;
         let answer = A::read(&mut rest).ok_or(ForeignFinds("an answer is malformed"))?;
         answers.push((item as usize, answer));
         next = item + 1;
@@ -198,19 +201,21 @@ pub(super) fn decode<A: Answer>(
             seen,
             joined,
         }),
-        _ => Err(ForeignFinds("there is more than they announce")),
+        _ => Err(ForeignFinds("bytes follow after the announced words")),
     }
 }
 
-/// A count of things that take at least `least` bytes each.
+/// Reads a count of elements that have at least `least` bytes each.
 fn count(rest: &mut &[u8], least: usize) -> Result<usize, ForeignFinds> {
     let count = number(rest)
         .and_then(|n| usize::try_from(n).ok())
         .filter(|n| *n <= rest.len() / least);
-    count.ok_or(ForeignFinds("they announce more than there is"))
+    count.ok_or(ForeignFinds(
+        "an announced count exceeds the remaining bytes",
+    ))
 }
 
-/// Words at ascending places below `places`.
+/// Reads words at ascending indices below `places`.
 fn words(rest: &mut &[u8], places: usize) -> Result<Vec<(usize, u64)>, ForeignFinds> {
     let count = count(rest, 9)?;
     let (mut words, mut next) = (Vec::with_capacity(count), 0u64);
@@ -218,10 +223,10 @@ fn words(rest: &mut &[u8], places: usize) -> Result<Vec<(usize, u64)>, ForeignFi
         let at = number(rest)
             .and_then(|gap| next.checked_add(gap))
             .filter(|at| *at < places as u64);
-        let at = at.ok_or(ForeignFinds("a bit is out of range"))?;
+        let at = at.ok_or(ForeignFinds("the index of a word is out of range"))?;
         words.push((
             at as usize,
-            word(rest).ok_or(ForeignFinds("they are cut short"))?,
+            word(rest).ok_or(ForeignFinds("the last word is cut short"))?,
         ));
         next = at + 1;
     }

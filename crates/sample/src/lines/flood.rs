@@ -1,12 +1,13 @@
-//! Flooding: from the origin that saw a new triangle, aim at the neighbours of the triangle that the cell has
-//! not seen: the triangles across its edges, or close by where an edge has no other triangle.
+//! Flooding: aiming from the origin that saw a new triangle at the triangle's neighbours that the cell has
+//! not seen. Neighbours are the triangles across its edges, or close by if an edge has no other triangle.
 //!
-//! A point that sees one triangle of a surface mostly sees the next one too; other origins in the cell were
-//! tried and find far less. Each line is traced in both directions, so the triangles behind the origin are
-//! credited as well.
+//! A point that sees one triangle of a surface mostly also sees the next one. In experiments, other origins
+//! in the cell found far fewer triangles. Each line is traced in both directions, so the triangles behind the
+//! origin are also credited.
 
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_scene::TriangleId;
+use sightline_trace::TracerError;
 use sightline_trace::cube::SKY;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::sequence::Hashed;
@@ -14,10 +15,10 @@ use sightline_trace::surface::point_on;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 
-/// A triangle new to the cell, and the origin that saw it.
+/// A triangle that is new to the cell, and the origin that saw it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Find {
-    /// Number of the packet whose line it was; lines of a packet have one origin.
+    /// The number of the packet of the line. The lines of a packet have one origin.
     pub(super) packet: u32,
     pub(super) origin: [f32; 3],
     pub(super) triangle: u32,
@@ -26,31 +27,32 @@ pub(super) struct Find {
 /// A packet aimed at triangles.
 struct Aimed {
     packet: Packet,
-    /// The packet of the finds that have the same origin.
+    /// The number of the packet whose newly found triangles have the same origin.
     eye: u32,
     targets: [u32; LANES],
 }
 
 impl Block<'_> {
-    /// Floods from `finds` in so many steps at most, and leaves the finds of the last one in their place.
+    /// Floods from `finds` in at most `steps` steps, and replaces `finds` by the triangles of the last step.
     pub(super) fn flood(
         &self,
         s: &mut Scratch,
         cell: usize,
-        (finds, steps): (&mut Vec<Find>, u32),
+        finds: &mut Vec<Find>,
+        steps: u32,
         random: &mut Hashed,
         stats: &mut CellStats,
-    ) -> Result<(), BackendError> {
-        let slot = self.cells[cell].slot;
+    ) -> Result<(), TracerError> {
+        let slot = self.table.cells[cell].slot;
         for _ in 0..steps {
             let mut aimed: Vec<Aimed> = Vec::new();
             for find in finds.iter() {
-                for next in self.tools.surface.neighbours[find.triangle as usize] {
+                for next in self.inputs.surface.neighbours[find.triangle as usize] {
                     if next == SKY {
                         continue;
                     }
-                    let row = self.row(next);
-                    if s.met[row as usize] == s.tag || self.bits.seen(row, slot) {
+                    let row = self.table.row(next);
+                    if s.met[row as usize] == s.tag || self.table.bits.seen(row, slot) {
                         continue;
                     }
                     s.met[row as usize] = s.tag;
@@ -70,7 +72,7 @@ impl Block<'_> {
                         continue;
                     };
                     last.targets[last.packet.count] = next;
-                    let to = point_on(self.tools.scene, next, random);
+                    let to = point_on(self.inputs.scene, TriangleId(next), random);
                     last.packet.push(eye, [0, 1, 2].map(|a| to[a] - eye[a]));
                 }
             }
@@ -78,12 +80,13 @@ impl Block<'_> {
                 break;
             }
             s.behind.clear();
-            s.behind.extend(aimed.iter().map(|a| a.packet.clone()));
-            s.behind
-                .extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
-            self.tools
+            for a in &aimed {
+                s.behind.push(a.packet.clone());
+                s.behind.push(a.packet.reversed(self.step));
+            }
+            self.inputs
                 .sight
-                .trace_each(&mut s.behind, &mut s.passed, self.step)?;
+                .trace_lines(&mut s.behind, &mut s.passed, self.step, false)?;
             finds.clear();
             let Scratch {
                 behind: traced,
@@ -95,31 +98,32 @@ impl Block<'_> {
                 ..
             } = &mut *s;
             for (k, a) in aimed.iter().enumerate() {
-                let ahead = &traced[k];
+                let halves = [2 * k, 2 * k + 1];
+                let ahead = &traced[halves[0]];
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
                 for lane in 0..ahead.count {
                     let (end, target) = (ahead.triangle[lane], a.targets[lane]);
-                    let found = end == target || passed.on(k, lane).any(|t| t == target);
+                    let found = end == target || passed.on(halves[0], lane).any(|t| t == target);
                     if !found {
-                        // Another triangle obstructs it; from another origin it may be visible.
-                        met[self.row(target) as usize] = 0;
+                        // Another triangle obstructs the target; from another origin it may be visible.
+                        met[self.table.row(target) as usize] = 0;
                     }
                     let origin = ahead.ray(lane).0;
                     let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
                     self.credit_line(
                         traced,
                         passed,
-                        [k, k + aimed.len()],
+                        halves,
                         lane,
-                        (crossed, joined),
-                        joins,
+                        crossed,
+                        joins.then_some(&mut *joined),
                     );
                     let mut meet = |hit| {
                         if hit == SKY {
                             return;
                         }
-                        let row = self.row(hit);
-                        if !self.bits.seen(row, slot)
+                        let row = self.table.row(hit);
+                        if !self.table.bits.seen(row, slot)
                             && (hit == target || met[row as usize] != *tag)
                         {
                             met[row as usize] = *tag;
@@ -132,7 +136,7 @@ impl Block<'_> {
                     };
                     meet(end);
                     if !passed.is_empty() {
-                        passed.on(k, lane).for_each(meet);
+                        passed.on(halves[0], lane).for_each(meet);
                     }
                 }
             }

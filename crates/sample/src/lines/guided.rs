@@ -1,12 +1,13 @@
-//! The baseline of measurements: guided rays, for each cell separately.
+//! The baseline of the benchmarks: guided rays, for each cell separately.
 //!
-//! Each cell has a fixed number of rays. Half are aimed at unseen triangles adjacent to seen ones (across an
-//! edge, or close by), a quarter at random unseen triangles, and a quarter have random directions. Cells
-//! share nothing, and every ray is traced by itself.
+//! Each cell has a fixed number of rays. Half are aimed at unseen triangles adjacent to seen triangles
+//! (across an edge, or close by), a quarter at random unseen triangles, and a quarter have random directions.
+//! Cells do not share rays, and every ray is traced separately.
 
 use glam::Vec3;
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_scene::TriangleId;
+use sightline_trace::TracerError;
 use sightline_trace::cube::SKY;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::sequence::Hashed;
@@ -16,48 +17,48 @@ use super::block::{Block, Scratch};
 use super::seeds::on_sphere;
 use crate::context::TileError;
 
-/// Rays cast between two updates of the list of unseen neighbours.
+/// The number of rays cast between two updates of the list of unseen neighbours.
 const BATCH: u64 = 1024;
-/// Most draws of a random unseen triangle before a random direction is taken instead.
+/// Maximum number of draws of a random unseen triangle before a random direction is used instead.
 const DRAWS: u32 = 8;
-/// Name of the stream of random numbers.
+/// The name of the stream of random numbers.
 const GUIDED: u64 = 6;
 
 impl Block<'_> {
     /// Casts `rays` rays from each cell.
     ///
     /// # Errors
-    /// As [`Block::sample`].
+    /// The errors of [`Block::sample`].
     pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
-        let work: Vec<(usize, u64)> = self.active().into_iter().map(|c| (c, rays)).collect();
+        let work: Vec<(usize, u64)> = self.table.active().into_iter().map(|c| (c, rays)).collect();
         self.each(&work, |block, s, (cell, rays)| {
             block.guided(s, *cell, *rays)
         })?;
-        for cell in self.active() {
-            let stats = &mut self.stats[cell];
+        for cell in self.table.active() {
+            let stats = &mut self.table.stats[cell];
             stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
         }
         self.publish();
-        self.count_done(self.cells.len());
+        self.count_done(self.table.cells.len());
         Ok(())
     }
 
-    fn guided(&self, s: &mut Scratch, cell: usize, rays: u64) -> Result<CellStats, BackendError> {
-        let c = self.cells[cell];
-        let mut random = Hashed::new(&[self.tools.seed, c.number, GUIDED]);
-        let all = &self.tools.surface.morton;
+    fn guided(&self, s: &mut Scratch, cell: usize, rays: u64) -> Result<CellStats, TracerError> {
+        let c = self.table.cells[cell];
+        let mut random = Hashed::new(&[self.inputs.seed, c.number, GUIDED]);
+        let all = &self.inputs.surface.morton;
         let mut stats = CellStats::default();
         s.next_tag();
-        // Unseen triangles next to seen ones; some have been seen since.
+        // Unseen triangles next to seen triangles. Some have been seen in the meantime.
         let mut border: Vec<u32> = Vec::new();
         let mut cast = 0;
-        while cast < rays && !self.late() && !self.tools.watcher.cancelled() {
+        while cast < rays && !self.late() && !self.inputs.watcher.cancelled() {
             let batch = BATCH.min(rays - cast);
             s.packets.clear();
             for first in (0..batch).step_by(LANES) {
                 let mut packet = Packet::default();
                 for _ in first..batch.min(first + LANES as u64) {
-                    let origin = c.random_origin(self.tools.places, &mut random);
+                    let origin = c.random_origin(self.inputs.region, &mut random);
                     let kind = random.unit();
                     let mut target = None;
                     if kind < 0.5 {
@@ -66,7 +67,7 @@ impl Block<'_> {
                                 break;
                             }
                             let i = (random.bits() % border.len() as u64) as usize;
-                            if s.met[self.row(border[i]) as usize] == s.tag {
+                            if s.met[self.table.row(border[i]) as usize] == s.tag {
                                 border.swap_remove(i);
                             } else {
                                 target = Some(border[i]);
@@ -77,11 +78,11 @@ impl Block<'_> {
                     if target.is_none() && kind < 0.75 && !all.is_empty() {
                         target = (0..DRAWS)
                             .map(|_| all[(random.bits() % all.len() as u64) as usize])
-                            .find(|t| s.met[self.row(*t) as usize] != s.tag);
+                            .find(|t| s.met[self.table.row(*t) as usize] != s.tag);
                     }
                     let direction = match target {
                         Some(t) => {
-                            Vec3::from(point_on(self.tools.scene, t, &mut random))
+                            Vec3::from(point_on(self.inputs.scene, TriangleId(t), &mut random))
                                 - Vec3::from(origin)
                         }
                         None => on_sphere(&mut random),
@@ -90,7 +91,7 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools
+            self.inputs
                 .sight
                 .trace_each(&mut s.packets, &mut s.passed, self.step)?;
             cast += batch;
@@ -98,14 +99,16 @@ impl Block<'_> {
                 let ends = (0..packet.count)
                     .flat_map(|l| std::iter::once(packet.triangle[l]).chain(s.passed.on(k, l)));
                 for triangle in ends {
-                    if triangle == SKY || s.met[self.row(triangle) as usize] == s.tag {
+                    if triangle == SKY || s.met[self.table.row(triangle) as usize] == s.tag {
                         continue;
                     }
-                    s.met[self.row(triangle) as usize] = s.tag;
-                    self.credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
+                    s.met[self.table.row(triangle) as usize] = s.tag;
+                    self.table
+                        .credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
                     stats.finds[LineKind::Uniform as usize] += 1;
-                    let next = self.tools.surface.neighbours[triangle as usize];
-                    let unmet = |n: &&u32| **n != SKY && s.met[self.row(**n) as usize] != s.tag;
+                    let next = self.inputs.surface.neighbours[triangle as usize];
+                    let unmet =
+                        |n: &&u32| **n != SKY && s.met[self.table.row(**n) as usize] != s.tag;
                     border.extend(next.iter().filter(unmet));
                 }
             }

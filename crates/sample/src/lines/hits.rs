@@ -1,14 +1,17 @@
-//! How much of the view each visible item takes, for each cell: counts of the lines that meet it, from a few
-//! viewpoints spread over the cell.
+//! The share of the view that each visible item covers, for each cell.
 //!
-//! The lines of a viewpoint are spread evenly over the pixels of a cube, as in the error measure, so an
-//! item's lines over all lines are its share of the pixels. Items that no line meets have no hits: their
-//! share is small, or they are visible from small parts of the cell. Hits add nothing to a set.
+//! The share is computed from counts of the lines that meet the item, from viewpoints spread over the cell.
+//!
+//! The lines of a viewpoint are spread evenly over the pixels of a cube, as in the error measure. The
+//! fraction of lines that meet an item is therefore its share of the pixels. Items that no line meets have no
+//! hits, because their share is small or they are visible only from small parts of the cell. Hits do not
+//! affect a set.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 use sightline_model::{CellSet, Hits};
+use sightline_scene::TriangleId;
 use sightline_trace::cube::{SKY, face_basis};
 use sightline_trace::lines::grid::Slot;
 use sightline_trace::packet::{LANES, Packet};
@@ -17,20 +20,21 @@ use sightline_trace::sequence::{Hashed, spread3};
 use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_viewcells::{CellBox, UNITS_PER_CELL};
 
-use super::block::{Cell, LEAST_STEP};
+use super::block::LEAST_STEP;
+use super::cell_table::Cell;
 use crate::context::{JobContext, TileError, ViewRegion, Watcher};
 
-/// Viewpoints of a cell.
+/// The number of viewpoints of a cell.
 const VIEWPOINTS: u32 = 32;
-/// Tiles of 4×4 lines along a side of a cube's face: 1536 lines from each viewpoint.
+/// The number of tiles of 4×4 lines along a side of a cube's face: 1536 lines from each viewpoint.
 const TILES: u32 = 4;
-/// Name of the stream of random numbers.
+/// The name of the stream of random numbers.
 const HITS: u64 = 8;
 
 /// Counts the hits of the items in `sets`, whose cells are `cells`. Returns the number of rays.
 ///
 /// # Errors
-/// [`TileError`] when it is cancelled or the backend fails.
+/// [`TileError`] if the tile is cancelled or the backend fails.
 pub fn count(
     job: &JobContext<'_>,
     cells: &[CellBox],
@@ -74,11 +78,11 @@ pub fn count(
                 parts,
             };
             let step = (hi - lo).max_element() * LEAST_STEP;
-            let (places, visible) = (job.places, set.visible.as_slice());
+            let (region, visible) = (job.region, set.visible.as_slice());
             let mut counter = Counter {
                 rows,
                 twins: &twins,
-                places,
+                region,
                 visible,
                 counts: Vec::new(),
             };
@@ -93,19 +97,20 @@ pub fn count(
     Ok(rays)
 }
 
-/// One number of three coordinates of the lattice.
+/// Combines a lattice coordinate with the hash of the previous coordinates.
 fn mixed(so_far: u64, coordinate: u64) -> u64 {
     so_far << 21 ^ so_far >> 43 ^ coordinate
 }
 
 struct Counter<'a> {
     rows: &'a Rows,
-    /// For each triangle with duplicates, all of its class.
+    /// For each triangle with duplicates, all triangles of its class.
     twins: &'a BTreeMap<u32, &'a [u32]>,
-    /// The region that holds all viewpoints, if they are restricted to one.
-    places: Option<&'a dyn ViewRegion>,
+    /// The region that contains all viewpoints; `None` if viewpoints are not restricted to a region.
+    region: Option<&'a dyn ViewRegion>,
     visible: &'a [u32],
-    /// For each visible item the lines of all viewpoints, of the present viewpoint, and the most of one.
+    /// For each visible item, three numbers of lines that meet the item: from all viewpoints so far, from the
+    /// current viewpoint, and the maximum from one viewpoint.
     counts: Vec<[u32; 3]>,
 }
 
@@ -128,7 +133,7 @@ impl Counter<'_> {
             VIEWPOINTS
         };
         for number in 0..viewpoints {
-            let origin = cell.origin(self.places, spread3(number.into(), shift));
+            let origin = cell.origin(self.region, spread3(number.into(), shift));
             packets.clear();
             for k in 0..6 * TILES * TILES {
                 let (face, tile) = (k / (TILES * TILES), k % (TILES * TILES));
@@ -179,8 +184,8 @@ impl Counter<'_> {
     /// Appends the items of a triangle and of its duplicates.
     fn items(&self, triangle: u32, out: &mut Vec<u32>) {
         match self.twins.get(&triangle) {
-            Some(class) => out.extend(class.iter().map(|t| self.rows.item(*t))),
-            None => out.push(self.rows.item(triangle)),
+            Some(class) => out.extend(class.iter().map(|t| self.rows.item(TriangleId(*t)))),
+            None => out.push(self.rows.item(TriangleId(triangle))),
         }
     }
 }

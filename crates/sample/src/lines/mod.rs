@@ -1,38 +1,39 @@
-//! The default sampler: sight lines that are shared by all cells they cross.
+//! The default sampler: sight lines that all crossed cells share.
 //!
 //! A maximal free segment runs from one triangle to another (or to the sky) and shows both its ends to every
-//! cell it crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block share
-//! one table of the triangles seen from each ([`bits`](sightline_trace::lines::bits)). Lines are traced in
-//! packets ([`sightline_trace::packet`]), coherent where their directions are alike, and walked through the
-//! cells ([`grid`](sightline_trace::lines::grid)). Four kinds of lines ([`sightline_model::LineKind`]) find
-//! missing triangles, in rounds ([`rounds`]), until a cell's own estimate of its missing part is small
-//! enough; [`bound`] then computes a bound from held-out lines.
+//! cell that it crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block
+//! share one table of the triangles seen from each cell ([`bits`](sightline_trace::lines::bits)). Lines are
+//! traced in packets ([`sightline_trace::packet`]), coherent if their directions are similar. The lines are
+//! then traced through the cells ([`grid`](sightline_trace::lines::grid)). Four kinds of lines
+//! ([`sightline_model::LineKind`]) find missing triangles, in rounds ([`rounds`]), until a cell's estimated
+//! missed fraction is small enough. [`bound`] then computes a bound from held-out lines.
 //!
-//! A result does not depend on the number or timing of threads: every decision reads the state of the last
+//! A result does not depend on the number or timing of threads. Every decision reads the state of the last
 //! barrier or the triangles that its cell newly found.
 
 mod adaptive;
 pub mod block;
 pub mod bound;
 mod candidates;
-mod each;
+pub mod cell_joins;
+mod cell_pieces;
+mod cell_table;
 mod finds;
 mod flood;
 mod guided;
 pub mod hits;
 mod items;
-pub mod joining;
-pub mod ledger;
+pub mod observer;
 mod on_device;
 mod on_device_state;
-mod pace;
+mod pacing;
 pub mod pairs;
 mod phase;
 pub mod rounds;
 mod seeds;
 mod tile;
+mod tile_sampling;
 mod uniform;
-mod work;
 mod yields;
 
 pub use tile::run;

@@ -1,34 +1,35 @@
-//! The phases of a block whose rounds a device casts by itself ([`sightline_trace::lines::device`]).
+//! The phases of a block whose rounds a device casts ([`sightline_trace::lines::device`]).
 //!
-//! To the crew such a phase is one item: the member that computes it gives the newly found triangles to the
-//! others, as with any item. The device's table follows that of the block: at the end of a phase it contains
-//! the triangles that the phase found, and the device makes it again if another member has computed the
-//! phase.
+//! For the crew, such a phase is one item: the member that computes it sends the newly found triangles to the
+//! others, as with any item. The device's table follows the table of the block: at the end of a phase it
+//! contains the triangles that the phase found. The device creates its table again if another member has
+//! computed the phase.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_trace::TracerError;
 use sightline_trace::lines::device::{
-    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, Rounds,
-    SegmentWork, Traffic, UniformWork,
+    AimPlan, AimWork, ContinueCheck, DeviceBlock, DeviceCell, DevicePairs, DevicePhaseResult,
+    KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
 };
 use sightline_trace::lines::pairs::Pairs;
 use sightline_trace::lines::tally::Tally;
 use sightline_trace::packet::LANES;
 use sightline_trace::sequence::Hashed;
 
-use super::block::{Block, Cell};
-use super::finds::Answer;
+use super::block::Block;
+use super::cell_table::Cell;
+use super::finds::ItemResult;
 use super::on_device_state::OnDevice;
-use super::pace::Pace;
+use super::pacing::LinePacing;
 use super::phase::{self, Items};
-use super::yields::Yields;
+use super::yields::YieldTable;
 use crate::context::TileError;
 
-/// Name of the stream of random numbers that gives cells their keys.
+/// The name of the stream of random numbers from which cells get their keys.
 const KEYS: u64 = 13;
 
 /// The answer of a phase that a device has computed: the counts of all its items.
@@ -36,11 +37,11 @@ const KEYS: u64 = 13;
 pub(super) struct Whole {
     pub(super) stats: Vec<CellStats>,
     pub(super) tally: Tally,
-    /// Rays that belong to no cell of the block.
+    /// The number of rays that belong to no cell of the block.
     pub(super) rays: u64,
 }
 
-impl Answer for Whole {
+impl ItemResult for Whole {
     fn write(&self, out: &mut Vec<u8>) {
         self.rays.write(out);
         (self.stats.len() as u64).write(out);
@@ -50,7 +51,7 @@ impl Answer for Whole {
 
     fn read(bytes: &mut &[u8]) -> Option<Self> {
         let (rays, count) = (u64::read(bytes)?, u64::read(bytes)?);
-        // Each number takes a byte at least.
+        // Each number has at least one byte.
         let count = usize::try_from(count)
             .ok()
             .filter(|n| *n <= bytes.len() / CellStats::NAMES.len())?;
@@ -78,29 +79,35 @@ impl Answer for Whole {
     }
 }
 
-/// The work of a device in a phase.
-type Compute<'a> = &'a (dyn Fn(&dyn Rounds, GoesOn<'_>) -> Result<Found, BackendError> + Sync);
+/// The function that computes a phase on a device.
+type Compute<'a> =
+    &'a (dyn Fn(&dyn Rounds, ContinueCheck<'_>) -> Result<DevicePhaseResult, TracerError> + Sync);
 
 impl Block<'_> {
-    /// Asks the tracer for its device, once.
+    /// Requests the tracer's device at the first call, and sets the pace of the device if there is one.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device does.
-    pub fn ask_for_device(&mut self) -> Result<(), BackendError> {
+    /// [`TracerError::Failed`] if the device fails.
+    pub fn ask_for_device(&mut self) -> Result<(), TracerError> {
         if !matches!(self.device, OnDevice::Unknown) {
             return Ok(());
         }
-        // A device knows no regions, and keeps no account.
-        let tools = &self.tools;
-        let plain = tools.places.is_none() && tools.ledger.is_none();
+        // A device does not support regions or observers.
+        let inputs = &self.inputs;
+        let plain = inputs.region.is_none() && inputs.observer.is_none();
         self.device = OnDevice::No;
         if !plain {
             return Ok(());
         }
-        let cells: Vec<DeviceCell> = self.cells.iter().map(|c| self.device_cell(c)).collect();
-        let first = self.cells.first().map_or(0, |c| c.number);
-        let division = tools.pairs.map(|pairs| self.division(pairs));
-        let pairs = tools
+        let cells: Vec<DeviceCell> = self
+            .table
+            .cells
+            .iter()
+            .map(|c| self.device_cell(c))
+            .collect();
+        let first = self.table.cells.first().map_or(0, |c| c.number);
+        let division = inputs.pairs.map(|pairs| self.division(pairs));
+        let pairs = inputs
             .pairs
             .zip(division.as_ref())
             .map(|(pairs, (cells, slots))| DevicePairs {
@@ -111,42 +118,42 @@ impl Block<'_> {
                 joins: self.joined_lines(),
             });
         let block = DeviceBlock {
-            scene: tools.scene,
-            surface: tools.surface,
-            rows: tools.rows.of_triangles(),
-            row_count: tools.rows.count(),
-            grid: &self.grid,
+            scene: inputs.scene,
+            surface: inputs.surface,
+            rows: inputs.rows.of_triangles(),
+            row_count: inputs.rows.count(),
+            grid: &self.table.grid,
             cells: &cells,
-            reached: self.reached(),
+            reached: self.table.reached(),
             step: self.step,
-            far: tools.sight.far(),
-            one_way: tools.sight.is_one_way(),
-            key: Hashed::new(&[tools.seed, first, KEYS, 1]).bits(),
+            far: inputs.sight.far(),
+            one_way: inputs.sight.is_one_way(),
+            key: Hashed::new(&[inputs.seed, first, KEYS, 1]).bits(),
             pairs,
         };
-        let sight = tools.sight;
+        let sight = inputs.sight;
         if let Some(rounds) = sight.rounds(&block)? {
             self.device = OnDevice::Yes {
                 rounds,
                 stale: true,
             };
-            self.set_pace(Pace::DEVICE);
+            self.set_pace(LinePacing::DEVICE);
         }
         Ok(())
     }
 
-    /// Sets the pace of a block that has cast nothing yet.
-    pub fn set_pace(&mut self, pace: Pace) {
+    /// Sets the pace of a block that has not cast lines yet.
+    pub fn set_pace(&mut self, pace: LinePacing) {
         self.pace = pace;
-        self.yields = Yields::new(2 * pace.aimed);
+        self.yields = YieldTable::new(2 * pace.aimed);
     }
 
-    /// The cells of the division, and the slots that the block's cells have there.
+    /// Returns the cells of the division, and the slots of the block's cells in the division.
     fn division(&self, pairs: &Pairs) -> (Vec<DeviceCell>, Vec<u32>) {
         let grid = pairs.grid();
         let cells = grid.each().enumerate().map(|(number, at)| {
             let (low, size) = grid.cell_box(at);
-            let key = Hashed::new(&[self.tools.seed, number as u64, KEYS, 2]).bits();
+            let key = Hashed::new(&[self.inputs.seed, number as u64, KEYS, 2]).bits();
             DeviceCell {
                 low,
                 size,
@@ -157,11 +164,11 @@ impl Block<'_> {
             }
         });
         let slot = |c: &Cell| grid.slot(grid.cell_at(c.lo + c.size * 0.5)).index() as u32;
-        (cells.collect(), self.cells.iter().map(slot).collect())
+        (cells.collect(), self.table.cells.iter().map(slot).collect())
     }
 
     fn device_cell(&self, c: &Cell) -> DeviceCell {
-        let key = Hashed::new(&[self.tools.seed, c.number, KEYS]).bits();
+        let key = Hashed::new(&[self.inputs.seed, c.number, KEYS]).bits();
         DeviceCell {
             low: c.lo,
             size: c.size,
@@ -172,7 +179,7 @@ impl Block<'_> {
         }
     }
 
-    /// What went between host and device; `None` where the host casts the rounds.
+    /// Returns the traffic between host and device, or `None` if the host casts the rounds.
     pub fn traffic(&self) -> Option<Traffic> {
         match &self.device {
             OnDevice::Yes { rounds, .. } => Some(rounds.traffic()),
@@ -180,7 +187,8 @@ impl Block<'_> {
         }
     }
 
-    /// The time of each kernel of the device; empty unless the backend measures it.
+    /// Returns the time of each kernel of the device. The list is empty unless the backend measures the
+    /// times.
     pub fn kernel_times(&self) -> Vec<KernelTime> {
         match &self.device {
             OnDevice::Yes { rounds, .. } => rounds.kernel_times(),
@@ -188,24 +196,25 @@ impl Block<'_> {
         }
     }
 
-    /// Whether a device casts the rounds.
+    /// Returns true if a device casts the rounds.
     pub(super) fn is_on_device(&self) -> bool {
         matches!(self.device, OnDevice::Yes { .. })
     }
 
-    /// A round of uniform lines from each cell, with so many tiles along a cube face.
+    /// Casts a round of uniform lines from each cell, with the given number of tiles along a cube face.
     pub(super) fn uniform_on_device(&mut self, work: &[(usize, u32)]) -> Result<(), TileError> {
         if work.is_empty() {
             return Ok(());
         }
-        let base = |c: usize| self.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
+        let base =
+            |c: usize| self.table.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
         let lines = |(cell, tiles): &(usize, u32)| UniformWork {
             cell: *cell,
             tiles: *tiles,
             base: base(*cell),
         };
         let wanted: Vec<UniformWork> = work.iter().map(lines).collect();
-        let answer = |found: &Found| {
+        let answer = |found: &DevicePhaseResult| {
             let counted = found.counts.iter().zip(work);
             counted
                 .map(|([misses, finds, flood, flood_finds], (_, tiles))| {
@@ -228,12 +237,13 @@ impl Block<'_> {
         self.phase_on_device(&cells, &|rounds, on| rounds.uniform(&wanted, on), &answer)
     }
 
-    /// Lines from each cell at its candidates that cover at least a part of the sphere.
+    /// Casts lines from each cell of `open` at the candidates that cover at least the fraction of the sphere
+    /// in `least`, which has one number per cell.
     pub(super) fn aim_on_device(&mut self, open: &[usize], least: &[f64]) -> Result<(), TileError> {
         if open.is_empty() {
             return Ok(());
         }
-        let rays = |c: usize| self.stats[c].rays[LineKind::Uniform as usize];
+        let rays = |c: usize| self.table.stats[c].rays[LineKind::Uniform as usize];
         let lines = |(c, least): (&usize, &f64)| AimWork {
             cell: *c,
             least: *least,
@@ -241,7 +251,7 @@ impl Block<'_> {
         };
         let wanted: Vec<AimWork> = open.iter().zip(least).map(lines).collect();
         let [times, so_far] = self.yields.plan_for_device();
-        // Counted over all searches, so that no two of them draw the same lines.
+        // The phase is counted over all searches, so that two searches do not draw the same lines.
         let phase = self.aims;
         self.aims += 1;
         let plan = AimPlan {
@@ -250,7 +260,7 @@ impl Block<'_> {
             so_far,
             flood_steps: self.flood_steps,
         };
-        let answer = |found: &Found| {
+        let answer = |found: &DevicePhaseResult| {
             let to_stats = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
                 let mut s = CellStats::default();
                 s.rays[LineKind::Candidate as usize] = u64::from(*rays);
@@ -264,19 +274,19 @@ impl Block<'_> {
         self.phase_on_device(open, &|rounds, on| rounds.aim(&wanted, &plan, on), &answer)
     }
 
-    /// The seeds of the whole scene.
+    /// Casts the seeds of the whole scene.
     pub(super) fn seeds_on_device(&mut self) -> Result<(), TileError> {
         self.phase_on_device(&[], &|rounds, on| rounds.seeds(on), &|_| Vec::new())
     }
 
-    /// Test number `look`: so many held-out lines from each cell.
+    /// Performs look number `look`: casts the given number of held-out lines from each cell.
     pub(super) fn check_on_device(
         &mut self,
         work: &[(usize, u64)],
         look: u32,
     ) -> Result<(), TileError> {
-        let with_pairs = self.tools.pairs.is_some();
-        let answer = |found: &Found| {
+        let with_pairs = self.inputs.pairs.is_some();
+        let answer = |found: &DevicePhaseResult| {
             let counted = found.counts.iter().zip(work);
             counted
                 .map(|([misses, cell_misses, ..], (_, lines))| {
@@ -297,17 +307,19 @@ impl Block<'_> {
         self.phase_on_device(&cells, &|rounds, on| rounds.check(work, look, on), &answer)
     }
 
-    /// A round of segments from some cells of the division, by number, which join the cells that they cross.
-    /// For each cell the number of segments, and of how many later cells a point sees a point of the cell, as
-    /// far as these tell.
+    /// Casts a round of segments from some cells of the division, which join the cells that they cross.
+    ///
+    /// Returns for each cell the number of segments, and an estimate of the number of later cells of which a
+    /// point sees a point of the cell.
     pub(super) fn segments_on_device(
         &mut self,
         work: &SegmentWork<'_>,
     ) -> Result<Vec<(u64, f64)>, TileError> {
         let estimates = Mutex::default();
-        let answer = |found: &Found| {
+        let answer = |found: &DevicePhaseResult| {
             let stats = |[segments, free, at, _]: &[u32; 4]| {
-                // Any three numbers that the answer carries to the other members.
+                // Store the three counts in any fields of the statistics, which the answer carries to the
+                // other members.
                 let [last_rays, last_misses, bound_lines] = [*segments, *free, *at].map(u64::from);
                 CellStats {
                     last_rays,
@@ -338,12 +350,13 @@ impl Block<'_> {
             .unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Sees to it that the device computes a phase, here or elsewhere, and adds its counts to the cells'.
+    /// Ensures that a device computes a phase, here or on another member, and adds the counts to the cells'
+    /// statistics.
     fn phase_on_device(
         &mut self,
         cells: &[usize],
         compute: Compute<'_>,
-        answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
+        answer: &(dyn Fn(&DevicePhaseResult) -> Vec<CellStats> + Sync),
     ) -> Result<(), TileError> {
         self.any_phase_on_device(cells.len(), compute, answer, &mut |block, stats| {
             cells
@@ -353,22 +366,23 @@ impl Block<'_> {
         })
     }
 
-    /// The same for any `count` items; `take` is given their counts.
+    /// Works like [`Self::phase_on_device`] for any `count` items. `take` receives their counts.
     fn any_phase_on_device(
         &mut self,
         count: usize,
         compute: Compute<'_>,
-        answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
+        answer: &(dyn Fn(&DevicePhaseResult) -> Vec<CellStats> + Sync),
         take: &mut dyn FnMut(&mut Self, &[CellStats]),
     ) -> Result<(), TileError> {
         let this = &*self;
         let OnDevice::Yes { rounds, stale } = &this.device else {
             return Ok(());
         };
-        let watcher = this.tools.watcher;
-        // Before the phase: finds of another member may come while it is computed.
-        let pairs = this.tools.pairs.filter(|_| *stale).map(Pairs::copy);
-        // The device publishes what it has found, so it must not work on the phase twice.
+        let watcher = this.inputs.watcher;
+        // The copy is made before the phase, because results of another member may arrive during the
+        // computation.
+        let pairs = this.inputs.pairs.filter(|_| *stale).map(Pairs::copy);
+        // The device publishes the triangles that it found, so it must not compute the phase twice.
         let own: Mutex<Option<Whole>> = Mutex::default();
         let work = |_| {
             let mut own = own.lock().unwrap_or_else(PoisonError::into_inner);
@@ -379,7 +393,7 @@ impl Block<'_> {
                 return Err(TileError::Cancelled);
             }
             if *stale {
-                rounds.restart(&this.bits, pairs.as_deref())?;
+                rounds.restart(&this.table.bits, pairs.as_deref())?;
             }
             let told = AtomicU64::new(0);
             let found = compute(&**rounds, &|rays| {
@@ -391,14 +405,14 @@ impl Block<'_> {
                 return Err(TileError::Cancelled);
             }
             let mut stats = answer(&found);
-            // Nothing is counted of what was broken off.
+            // Interrupted work has zero counts.
             stats.resize_with(count, CellStats::default);
             found
                 .words
                 .par_iter()
                 .with_min_len(4096)
-                .for_each(|(at, word)| this.bits.add(*at as usize, *word));
-            if let Some(pairs) = this.tools.pairs {
+                .for_each(|(at, word)| this.table.bits.add(*at as usize, *word));
+            if let Some(pairs) = this.inputs.pairs {
                 found
                     .pair_words
                     .iter()
@@ -421,7 +435,7 @@ impl Block<'_> {
             compute: &work,
             fits: &fits,
         };
-        let done = phase::run(this.tools.crew, this.tables(), items)?;
+        let done = phase::run(this.inputs.crew, this.tables(), items)?;
         let is_here = own
             .into_inner()
             .unwrap_or_else(PoisonError::into_inner)

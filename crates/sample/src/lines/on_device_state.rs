@@ -1,18 +1,18 @@
-//! The state of a block's device.
+//! The state of the device of a block.
 
 use sightline_trace::lines::device::Rounds;
 
-/// The device that casts the rounds of a block, if there is one.
+/// The device that casts the rounds of a block, if it exists.
 pub(super) enum OnDevice<'a> {
-    /// Not queried yet.
+    /// The tracer was not queried yet.
     Unknown,
-    /// No device; the host casts them.
+    /// The tracer has no device; the host casts the rounds.
     No,
-    /// A device.
+    /// A device casts the rounds.
     Yes {
         /// The device's block.
         rounds: Box<dyn Rounds + 'a>,
-        /// True if its table lags behind the block's.
+        /// True if the device's table lags behind the block's table.
         stale: bool,
     },
 }

@@ -1,4 +1,4 @@
-//! The pairs of cells that see each other, of a tile's lines.
+//! The pairs of cells that see each other, from a tile's lines.
 
 use sightline_model::TilePairs;
 use sightline_trace::lines::pairs::Pairs;

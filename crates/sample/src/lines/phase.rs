@@ -1,40 +1,40 @@
-//! One phase of a block: its items, their answers, and the tables that they write to.
+//! A phase of a block: its items, their answers, and the tables to which they write.
 //!
-//! [`run`] gives the phase to the crew ([`crate::crew`]) and returns the answers in the order of the items.
+//! [`run`] passes the phase to the crew ([`crate::crew`]) and returns the answers in the order of the items.
 
 use std::sync::OnceLock;
 
 use sightline_trace::lines::bits::SeenBits;
 use sightline_trace::lines::pairs::Pairs;
 
-use super::finds::{self, Answer, Finds};
+use super::finds::{self, Finds, ItemResult};
 use crate::context::TileError;
 use crate::crew::{Crew, ForeignFinds, Phase};
 
-/// The tables that the items of a phase write to.
+/// The tables to which the items of a phase write.
 #[derive(Clone, Copy)]
 pub(super) struct Tables<'a> {
     pub(super) bits: Option<&'a SeenBits>,
     pub(super) pairs: Option<&'a Pairs>,
 }
 
-/// What the items of a phase are.
+/// The definition of the items of a phase.
 pub(super) struct Items<'a, A> {
     pub(super) count: usize,
-    /// Makes what computing needs.
+    /// Creates the data that `compute` needs.
     pub(super) prepare: &'a (dyn Fn() + Sync),
-    /// The expected work of an item.
+    /// Returns the expected work of an item.
     pub(super) cost: &'a (dyn Fn(usize) -> u64 + Sync),
     pub(super) compute: &'a (dyn Fn(usize) -> Result<A, TileError> + Sync),
-    /// Whether another member's answer can be one of these.
+    /// Returns true if another member's answer can belong to this phase.
     pub(super) fits: &'a (dyn Fn(&A) -> bool + Sync),
 }
 
-/// Sees to it that every item is computed, here or elsewhere.
+/// Runs a phase with the crew, and returns the answers in the order of the items.
 ///
 /// # Errors
-/// [`TileError`] when the tile is cancelled or the backend fails.
-pub(super) fn run<A: Answer>(
+/// [`TileError`] if the tile is cancelled or the backend fails.
+pub(super) fn run<A: ItemResult>(
     crew: &dyn Crew,
     tables: Tables<'_>,
     items: Items<'_, A>,
@@ -50,7 +50,7 @@ pub(super) fn run<A: Answer>(
     if let Some(pairs) = tables.pairs {
         pairs.keep();
     }
-    // A crew that ends a phase too early is at fault; the tile is not.
+    // If an answer is missing, the crew ended the phase too early, and the tile itself has no fault.
     shared
         .answers
         .into_iter()
@@ -64,7 +64,7 @@ struct Shared<'a, A> {
     answers: Vec<OnceLock<A>>,
 }
 
-impl<A: Answer> Shared<'_, A> {
+impl<A: ItemResult> Shared<'_, A> {
     fn finds(&self, items: impl Iterator<Item = usize>) -> Vec<u8> {
         let answered = items.filter_map(|i| Some((i, self.answers[i].get()?)));
         finds::encode(
@@ -76,7 +76,7 @@ impl<A: Answer> Shared<'_, A> {
     }
 }
 
-impl<A: Answer> Phase for Shared<'_, A> {
+impl<A: ItemResult> Phase for Shared<'_, A> {
     fn items(&self) -> usize {
         self.items.count
     }
@@ -93,7 +93,7 @@ impl<A: Answer> Phase for Shared<'_, A> {
 
     fn compute(&self, item: usize, _: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError> {
         let answer = (self.items.compute)(item)?;
-        // Another member's answer, which is the same, may be here already.
+        // Another member's answer, which is equal, may have arrived already.
         let _ = self.answers[item].set(answer);
         Ok(())
     }
@@ -126,9 +126,11 @@ impl<A: Answer> Phase for Shared<'_, A> {
             joined,
         } = finds::decode(found, self.answers.len(), bits, pairs)?;
         if !answers.iter().all(|(_, answer)| (self.items.fits)(answer)) {
-            return Err(ForeignFinds("an answer counts other cells"));
+            return Err(ForeignFinds(
+                "an answer has counts for another number of cells",
+            ));
         }
-        // The finds before the answers: whoever sees the answer must have the finds.
+        // The bits are added before the answers: a thread that reads the answer must also have the bits.
         if let Some(bits) = bits {
             seen.into_iter().for_each(|(at, word)| bits.add(at, word));
         }

@@ -1,60 +1,68 @@
 //! Rounds of sight lines, until the expected error of every cell of a block is within its tolerance.
 //!
-//! A round casts uniform lines from every open cell, floods from their finds, and then aims at candidates.
-//! The fraction of a round's uniform rays that meet a new triangle is an unbiased estimate of the fraction of
-//! sight lines that the cell's set missed when the round began. The round itself leaves about half of this
-//! fraction or less. A cell is finished when the expected fraction is at most its tolerance: the target, or
-//! more for the hardest cells ([`Tolerance`]).
+//! A round casts uniform lines from every open cell, floods from the triangles that they find, and then aims
+//! at candidates. The fraction of a round's uniform rays that meet a new triangle is an unbiased estimate of
+//! the fraction of sight lines that the cell's set missed when the round began. After the round, about half
+//! of this fraction or less remains. A cell is finished when the expected fraction is at most its tolerance:
+//! the target, or more for the hardest cells ([`Tolerance`]).
 
 use super::block::Block;
-pub use super::pace::Pace;
-use super::pace::steps_from_candidates;
+pub use super::pacing::LinePacing;
+use super::pacing::steps_from_candidates;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
-/// Targets above this are coarse.
+/// The target error above which the first round has [`LinePacing::first_coarse`] tiles along a face.
 const COARSE: f64 = 5e-3;
-/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least allowed
-/// target.
+/// Maximum number of tiles along a face in a round: 1.6 million rays, of which one miss is well below the
+/// minimum allowed target.
 const MOST_TILES: u32 = 128;
-/// The missed fraction at the end of a round as a part of the missed fraction at its beginning; measured on
-/// scenes of every kind as 0.4 to 0.65.
+/// The missed fraction at the end of a round as a fraction of the missed fraction at its beginning. Measured
+/// on scenes of every kind as 0.4 to 0.65.
 pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
-/// The same for the first round, which begins with an almost empty set and floods far: measured as 0.01 to
-/// 0.06.
+/// The missed fraction at the end of a cell's first round as a fraction of the missed fraction at its
+/// beginning.
+///
+/// The first round begins with an almost empty set and floods far. Measured as 0.01 to 0.06.
 const LEFT_AFTER_FIRST: f64 = 0.1;
-/// Expected number of misses for which a round's size is chosen, so that its estimate is meaningful.
+/// The expected number of misses for which a round's size is chosen, so that its estimate is meaningful.
 const MISSES_WANTED: f64 = 1.0;
-/// Candidates that cover less than this part of the cell's missed fraction are not tried.
+/// The minimum coverage of a candidate, as a fraction of the cell's missed fraction. Smaller candidates are
+/// not tried.
 const CANDIDATE_PART: f64 = 1e-4;
-/// Most rounds of a cell. A cell that needs more still finds new triangles in every round and is marked as
-/// unfinished.
+/// Maximum number of rounds of a cell. A cell that needs more still finds new triangles in every round and is
+/// marked as unfinished.
 const MOST_ROUNDS: u32 = 24;
-/// Multiple of the average cell's work from which a cell's tolerance grows in proportion to its work. Its
-/// error is one of many in the mean error, and the other cells use the time better. See [`Tolerance`].
+/// The multiple of the average cell's work from which a cell's tolerance grows in proportion to its work. The
+/// mean error weights all cells equally, and the same work lowers the error of other cells more. See
+/// [`Tolerance`].
 const HARD_FROM: f64 = 3.0;
-/// The part of the target that remains where items are clusters or objects: a missed line is rarer than with
-/// triangles, and with the whole target more small items were missed than a bake of triangles misses
+/// The factor on the target if items are clusters or objects: a missed line is rarer than with triangles.
+/// With the whole target, more small items were missed than a bake of triangles misses
 /// (`docs/experiments/items.md`).
 const OF_ITEMS: f64 = 0.5;
-/// Seeds are cast for targets below this one; above it they cost more than they gain.
+/// The target error below which seeds are cast, after the second round of uniform lines. For larger targets,
+/// seeds cost more than they gain.
 const SEEDS_BELOW: f64 = 3e-3;
 
-/// The fraction of sight lines that a finished cell may miss, for cells that take far more work than others.
+/// The tolerance of cells that cost far more work than other cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tolerance {
     /// Every cell has the target as its tolerance.
     Equal,
-    /// A cell that takes several times the work of the average cell has a larger tolerance, in proportion.
+    /// A cell that costs several times the work of the average cell has a larger tolerance, in proportion.
     Raised,
 }
 
 impl Block<'_> {
-    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most its tolerance, a
-    /// fraction of the sight lines from it: `target`, raised for some cells by [`Tolerance::Raised`].
+    /// Samples the cells `wanted` until each is expected to miss at most its tolerance. `wanted` contains
+    /// indices in `CellGrid::each`; an empty list selects all cells with viewpoints.
+    ///
+    /// The tolerance is a fraction of the sight lines from the cell: `target`, raised for some cells by
+    /// [`Tolerance::Raised`].
     ///
     /// # Errors
-    /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
+    /// [`TileError`] if the tile is cancelled or the tracer fails. A passed deadline is not an error.
     pub fn sample(
         &mut self,
         target: f64,
@@ -63,19 +71,19 @@ impl Block<'_> {
     ) -> Result<(), TileError> {
         self.ask_for_device()?;
         let mut open: Vec<usize> = if wanted.is_empty() {
-            self.active()
+            self.table.active()
         } else {
             wanted.to_vec()
         };
         for cell in &open {
             (
-                self.stats[*cell].unfinished,
-                self.stats[*cell].raised_tolerance,
+                self.table.stats[*cell].unfinished,
+                self.table.stats[*cell].raised_tolerance,
             ) = (false, false);
         }
         let enough = self.enough;
         // A device counts the misses of triangles.
-        let by_items = self.tools.rows.are_finer() && !self.is_on_device();
+        let by_items = self.inputs.rows.are_finer() && !self.is_on_device();
         let target = if by_items { target * OF_ITEMS } else { target };
         self.flood_steps = steps_from_candidates(target);
         for round in 0..MOST_ROUNDS {
@@ -114,7 +122,7 @@ impl Block<'_> {
                 // A cell that the first round has finished needs no candidates.
                 let before = open.len();
                 open.retain(|c| {
-                    self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target
+                    self.table.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target
                 });
                 self.count_done(before - open.len());
             }
@@ -130,11 +138,11 @@ impl Block<'_> {
             }
             self.publish();
             if self.late() {
-                // Aiming was cut short, so the rule below does not hold.
+                // The deadline ended the aiming early, so the rule below does not hold.
                 break;
             }
             let before = open.len();
-            let average = self.work() / self.active().len().max(1) as f64;
+            let average = self.work() / self.table.active().len().max(1) as f64;
             let mut spared = Vec::new();
             open.retain(|c| {
                 let granted = match hard {
@@ -142,7 +150,7 @@ impl Block<'_> {
                     Tolerance::Raised => (self.work_of(*c) / (average * HARD_FROM)).max(1.0),
                 };
                 if let Some(rays) = enough {
-                    return self.stats[*c].rays[LineKind::Uniform as usize] < rays;
+                    return self.table.stats[*c].rays[LineKind::Uniform as usize] < rays;
                 }
                 let left = self.left(*c, LEFT_AFTER_ROUND);
                 if left > target && left <= target * granted {
@@ -152,54 +160,61 @@ impl Block<'_> {
             });
             spared
                 .into_iter()
-                .for_each(|c: usize| self.stats[c].raised_tolerance = true);
+                .for_each(|c: usize| self.table.stats[c].raised_tolerance = true);
             tracing::debug!("round {round}: {before} cells, {} left", open.len());
             self.count_done(before - open.len());
         }
         for cell in &open {
-            self.stats[*cell].unfinished = true;
+            self.table.stats[*cell].unfinished = true;
         }
         self.count_done(open.len());
         Ok(())
     }
 
-    /// Plans the number of tries at the candidates of `open` from the misses of its uniform rays and the
-    /// gains of the last tries.
+    /// Plans the number of attempts at the candidates of `open` from the misses of its uniform rays and the
+    /// gains of the last attempts.
     fn plan_tries(&mut self, open: &[usize]) {
-        let sum = |of: fn(&CellStats) -> u64| open.iter().map(|c| of(&self.stats[*c])).sum::<u64>();
+        let sum = |count: fn(&CellStats) -> u64| {
+            open.iter()
+                .map(|c| count(&self.table.stats[*c]))
+                .sum::<u64>()
+        };
         let (misses, cast) = (sum(|s| s.last_misses), sum(|s| s.last_rays));
         let rays = sum(|s| s.rays[LineKind::Uniform as usize]) as f64 / open.len().max(1) as f64;
         self.yields.plan(misses, cast, rays);
     }
 
-    /// The expected missed fraction after a round that leaves the part `part` of the missed fraction.
+    /// Returns the fraction of sight lines that a cell is expected to miss after its last round. `part` is
+    /// the ratio of the missed fractions after and before a round.
     pub(super) fn left(&self, cell: usize, part: f64) -> f64 {
-        let s = &self.stats[cell];
-        // One more miss than was counted, because no miss in a few rays is weak evidence.
+        let s = &self.table.stats[cell];
+        // One miss is added to the count, because no miss in a few rays is weak evidence.
         part * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64
     }
 
-    /// The missed fraction when the cell's last round began, estimated by that round.
+    /// Estimates the missed fraction at the beginning of the cell's last round, from that round.
     fn missing(&self, cell: usize) -> f64 {
-        let s = &self.stats[cell];
+        let s = &self.table.stats[cell];
         (s.last_misses as f64 + 0.5) / s.last_rays.max(1) as f64
     }
 
-    /// The work of a cell so far, in units of a uniform ray.
+    /// Returns the work of a cell so far, in units of a uniform ray.
     fn work_of(&self, cell: usize) -> f64 {
-        let [uniform, flood, candidate, _] = self.stats[cell].rays;
+        let [uniform, flood, candidate, _] = self.table.stats[cell].rays;
         (uniform + self.pace.aimed * (flood + candidate)) as f64
     }
 
-    /// The work of all cells so far, in units of a uniform ray.
+    /// Returns the work of all cells so far, in units of a uniform ray.
     fn work(&self) -> f64 {
-        (0..self.cells.len()).map(|c| self.work_of(c)).sum()
+        (0..self.table.cells.len()).map(|c| self.work_of(c)).sum()
     }
 
-    /// Tiles along a cube face for a cell's next round towards `enough` uniform rays: a third of them, so
-    /// that candidates of the first finds are tried before the rest, then all that are left.
+    /// Returns the number of tiles along a cube face for a cell's next round towards `enough` uniform rays.
+    ///
+    /// The first round casts a third of the rays, so that candidates of its newly found triangles are tried
+    /// before the rest. The next round casts all remaining rays.
     fn tiles_up_to(&self, cell: usize, enough: u64) -> u32 {
-        let cast = self.stats[cell].rays[LineKind::Uniform as usize];
+        let cast = self.table.stats[cell].rays[LineKind::Uniform as usize];
         let wanted = if cast == 0 {
             enough / 3
         } else {
@@ -208,9 +223,10 @@ impl Block<'_> {
         ((wanted as f64 / 96.0).sqrt().ceil() as u32).clamp(self.pace.first, MOST_TILES)
     }
 
-    /// Tiles along a cube face for a cell's next round: enough to expect [`MISSES_WANTED`] misses.
+    /// Returns the number of tiles along a cube face for a cell's next round, with [`MISSES_WANTED`] expected
+    /// misses.
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
-        let s = &self.stats[cell];
+        let s = &self.table.stats[cell];
         if s.last_rays == 0 {
             return if target > COARSE {
                 self.pace.first_coarse
@@ -220,7 +236,7 @@ impl Block<'_> {
         }
         let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
         let rays = MISSES_WANTED / expected;
-        // 3·tiles² pairs of sixteen.
+        // A round has 3·tiles² pairs of packets with sixteen rays.
         let least = f64::from(self.pace.first) * self.pace.growth.powi(round as i32);
         ((rays / 96.0).sqrt().max(least).ceil() as u32).clamp(self.pace.first, MOST_TILES)
     }

@@ -1,11 +1,12 @@
 //! Seeds: one line from every second triangle of the scene, so that every surface has a line near it.
 //!
-//! A triangle that is visible only from a hidden corner has no seen neighbour to be found from. Seeds begin
-//! at such triangles and lower the worst errors most. Eight consecutive triangles in Morton order share
-//! direction and distance, which keeps packets coherent. The distance of the origin from the surface is
+//! A triangle that is visible only from a hidden corner has no seen neighbour from which it could be found.
+//! Seeds begin at such triangles and lower the worst errors most. Eight consecutive triangles in Morton order
+//! share direction and distance, which keeps packets coherent. The distance of the origin from the surface is
 //! log-uniform, because gaps have all sizes.
 
 use glam::{DVec3, Vec3};
+use sightline_scene::TriangleId;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::sequence::Hashed;
 use sightline_trace::surface::point_on;
@@ -14,32 +15,33 @@ use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 use super::phase::{self, Items};
 use crate::context::TileError;
 
-/// One triangle in this many is a seed.
+/// The number of triangles per seed.
 const ONE_IN: usize = 2;
-/// Triangles of an item of the phase.
+/// The number of triangles of an item of the phase.
 const STRIPE: usize = 1024;
-/// Distances of origins: from a quarter of the block's size down by this many halvings.
+/// The number of scales of the distance between a seed's triangle and the seed's origin: a quarter of the
+/// block's diagonal, halved 0 to 15 times at random.
 const HALVINGS: f32 = 16.0;
-/// Name of the stream of random numbers.
+/// The name of the stream of random numbers.
 const SEEDS: u64 = 4;
 
 impl Block<'_> {
     /// Casts the seeds of the whole scene whose lines cross the block.
     pub(super) fn seeds(&self) -> Result<(), TileError> {
-        let (min, max) = self.grid.bounds();
+        let (min, max) = self.table.grid.bounds();
         let extent = (max - min).length();
-        let first = self.cells.first().map_or(0, |c| c.number);
-        let stripes: Vec<&[u32]> = self.tools.surface.morton.chunks(STRIPE).collect();
+        let first = self.table.cells.first().map_or(0, |c| c.number);
+        let stripes: Vec<&[u32]> = self.inputs.surface.morton.chunks(STRIPE).collect();
         let compute = |number: usize| {
             let stripe = stripes[number];
-            if self.tools.watcher.cancelled() {
+            if self.inputs.watcher.cancelled() {
                 return Err(TileError::Cancelled);
             }
             if self.late() {
                 return Ok(0);
             }
             self.with_scratch(|s| {
-                let mut random = Hashed::new(&[self.tools.seed, first, number as u64, SEEDS]);
+                let mut random = Hashed::new(&[self.inputs.seed, first, number as u64, SEEDS]);
                 s.packets.clear();
                 for group in stripe.chunks(LANES * ONE_IN) {
                     let direction = on_sphere(&mut random);
@@ -55,10 +57,14 @@ impl Block<'_> {
                         } else {
                             -direction
                         };
-                        let at = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
+                        let at = Vec3::from(point_on(
+                            self.inputs.scene,
+                            TriangleId(*triangle),
+                            &mut random,
+                        ));
                         let origin = at + up * distance;
                         // A free segment is in the viewpoints' region as a whole or not at all.
-                        if self.tools.places.is_none_or(|places| places.hold(origin)) {
+                        if self.inputs.region.is_none_or(|region| region.hold(origin)) {
                             down.push(origin.to_array(), (-up).to_array());
                         }
                     }
@@ -66,9 +72,9 @@ impl Block<'_> {
                     s.packets.push(down);
                     s.packets.push(up);
                 }
-                self.tools
+                self.inputs
                     .sight
-                    .trace(&mut s.packets, &mut s.passed, self.step)?;
+                    .trace_lines(&mut s.packets, &mut s.passed, self.step, true)?;
                 let Scratch {
                     packets,
                     passed,
@@ -82,10 +88,17 @@ impl Block<'_> {
                     rays += 2 * packets[halves[0]].count as u64;
                     for lane in 0..packets[halves[0]].count {
                         let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                        self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                        self.credit_line(
+                            packets,
+                            passed,
+                            halves,
+                            lane,
+                            crossed,
+                            joins.then_some(&mut *joined),
+                        );
                     }
                 }
-                self.tools.watcher.rendered(rays);
+                self.inputs.watcher.rendered(rays);
                 Ok(rays)
             })
         };
@@ -97,26 +110,27 @@ impl Block<'_> {
             compute: &compute,
             fits: &|_| true,
         };
-        phase::run(self.tools.crew, self.tables(), items).map(|_| ())
+        phase::run(self.inputs.crew, self.tables(), items).map(|_| ())
     }
 }
 
 impl Block<'_> {
-    /// Whether a direction points to the side of a triangle from which its seed looks: its front if it has
-    /// one side, else the side that `front` chooses.
+    /// Returns true if a direction points to the side of a triangle on which its seed begins.
+    ///
+    /// This is the front of a triangle with one side, and otherwise the side that `front` selects.
     fn is_up(&self, triangle: u32, direction: Vec3, front: bool) -> bool {
-        let one_sided = self.tools.scene.front(triangle);
+        let one_sided = self.inputs.scene.front(TriangleId(triangle));
         if one_sided != DVec3::ZERO {
             return one_sided.dot(direction.as_dvec3()) > 0.0;
         }
-        let v = self.tools.scene.triangles()[triangle as usize].v;
+        let v = self.inputs.scene.triangles()[triangle as usize].v;
         let normal = (v[1] - v[0]).cross(v[2] - v[0]);
         (normal.dot(direction) > 0.0) == front
     }
 }
 
-/// A uniform direction, by rejection from the cube: it uses no function whose last bit differs between
-/// machines.
+/// Returns a uniform direction, by rejection from the cube. The computation does not use functions whose last
+/// bit differs between machines.
 pub(super) fn on_sphere(random: &mut Hashed) -> Vec3 {
     loop {
         let v = random.point() * 2.0 - 1.0;

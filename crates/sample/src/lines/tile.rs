@@ -1,23 +1,23 @@
-//! Samples one leaf tile of the plan with sight lines: its cells are a block. The cells of an adaptive tree
-//! are joined from smaller ones ([`super::adaptive`]).
+//! Sampling of one leaf tile of the plan with sight lines. The tile's cells are a block. The cells of an
+//! adaptive tree are joined from smaller cells ([`super::adaptive`]).
 
 use std::time::Instant;
 
-use sightline_model::{CellSet, CellSets, Node, Stop};
+use sightline_model::{CellSet, CellSets, Stop, SubtreeNode};
 use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
 use super::pairs::of_tile;
 use super::rounds::Tolerance;
-use super::work::{Work, columns, share};
-use super::{adaptive, joining};
+use super::tile_sampling::{TileSampling, columns, share};
+use super::{adaptive, cell_joins};
 use crate::context::{JobContext, LineSampler, TileError, Watcher};
 
-/// Samples a leaf tile; returns its sets and the number of rays.
+/// Computes a leaf tile and returns its sets and the number of rays.
 ///
 /// # Errors
-/// [`TileError`] when it is cancelled or the backend fails.
+/// [`TileError`] if the tile is cancelled or the backend fails.
 pub fn run(
     job: &JobContext<'_>,
     sampler: LineSampler,
@@ -27,18 +27,18 @@ pub fn run(
     let start = Instant::now();
     let scene = job.scene.for_lines();
     let sight = SightLineTracer::new(job.backend, job.scene.traced())?.up_to(job.far);
-    let pairs = joining::table(job);
-    // After the lines that look for triangles, which leave less to be joined. The rays of the sampler guided
-    // join none.
+    let pairs = cell_joins::table(job);
+    // Pairs are searched after the lines that search for triangles, which leave fewer cells to join. The rays
+    // of the sampler guided do not join cells.
     let rounds = match sampler {
-        LineSampler::Guided { .. } => joining::MANY_ROUNDS,
-        LineSampler::Shared { .. } => joining::FEW_ROUNDS,
+        LineSampler::Guided { .. } => cell_joins::MANY_ROUNDS,
+        LineSampler::Shared { .. } => cell_joins::FEW_ROUNDS,
     };
     let join = |block| match &pairs {
-        Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher, block),
+        Some(pairs) => cell_joins::search(job, &sight, pairs, &tile.cell, rounds, watcher, block),
         None => Ok(0),
     };
-    let work = Work {
+    let sampling = TileSampling {
         job,
         scene,
         sight: &sight,
@@ -48,7 +48,7 @@ pub fn run(
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let (Division::Adaptive { .. }, LineSampler::Shared { error, .. }) = (&job.division, sampler)
     {
-        let (sets, rays) = adaptive::run(&work, error, tile)?;
+        let (sets, rays) = adaptive::run(&sampling, error, tile)?;
         let joined = join(None)?;
         job.crew.end()?;
         return Ok((
@@ -69,8 +69,11 @@ pub fn run(
         job.viewpoints
             .map_or(u64::MAX, |marks| marks.parts(number(c) as usize))
     };
-    let mut block = work.block(&tile.cell, span(&tile.cell), number, parts);
-    tracing::debug!("know what meets each cell after {:?}", start.elapsed());
+    let mut block = sampling.block(&tile.cell, span(&tile.cell), number, parts);
+    tracing::debug!(
+        "found the triangles that intersect each cell after {:?}",
+        start.elapsed()
+    );
     let joined = match sampler {
         LineSampler::Guided { rays } => {
             block.sample_guided(rays)?;
@@ -97,7 +100,7 @@ pub fn run(
     };
     job.crew.end()?;
     tracing::debug!("sampled after {:?}", start.elapsed());
-    share(&work, &mut block);
+    share(&sampling, &mut block);
     let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
     let mut sets = sets(job, tile, &block);
     sets.pairs = of_tile(job, pairs.as_ref());
@@ -106,12 +109,12 @@ pub fn run(
     Ok((sets, rays))
 }
 
-/// Cells of a box along each axis.
+/// Returns the number of cells of a box along each axis.
 fn span(cell: &CellBox) -> [u32; 3] {
     [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
 }
 
-/// The sets in the order of the tile's subtree.
+/// Returns the sets in the order of the tile's subtree.
 fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
     let grid = block.grid();
     let mut columns = columns(block);
@@ -120,7 +123,7 @@ fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
     while let Some((cell, depth)) = waiting.pop() {
         match job.division.split(&job.lattice, &cell, depth) {
             Some(split) => {
-                out.nodes.push(Node::Split(split));
+                out.nodes.push(SubtreeNode::Split(split));
                 let [below, above] = cell.children(split);
                 waiting.extend([(above, depth + 1), (below, depth + 1)]);
             }
@@ -128,7 +131,7 @@ fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
                 let at = [0, 1, 2].map(|a| (cell.lo[a] - tile.cell.lo[a]) / UNITS_PER_CELL);
                 let [nx, ny, _] = grid.cells();
                 let place = ((at[2] * ny + at[1]) * nx + at[0]) as usize;
-                out.nodes.push(Node::Cell);
+                out.nodes.push(SubtreeNode::Cell);
                 out.cells.push(CellSet {
                     visible: std::mem::take(&mut columns[grid.slot(at).index()]),
                     stats: block.stats()[place],

@@ -1,13 +1,13 @@
 //! Uniform lines: visibility cubes in which each 4×4 tile of directions has its own origin in the cell.
 //!
 //! Directions are uniform in the pixels of a cube, as in the error measure. Each direction is traced both
-//! ways, so that each line gives a maximal free segment. Sixteen directions share an origin, which keeps the
-//! packets coherent; a new origin for each tile keeps the samples independent.
+//! ways, so that each line is a maximal free segment. Sixteen directions share an origin, which keeps the
+//! packets coherent. A new origin for each tile keeps the samples independent.
 
 use std::time::{Duration, Instant};
 
 use sightline_model::{CellStats, LineKind};
-use sightline_trace::BackendError;
+use sightline_trace::TracerError;
 use sightline_trace::cube::{SKY, face_basis};
 use sightline_trace::lines::FLOOD_STEPS;
 use sightline_trace::packet::{LANES, Packet};
@@ -16,37 +16,38 @@ use sightline_trace::sequence::{Hashed, spread3};
 use super::block::{Block, JOINED_LANES, Scratch};
 use super::flood::Find;
 
-/// Names of the streams of random numbers.
+/// The names of the streams of random numbers.
 const SHIFT: u64 = 1;
 const JITTER: u64 = 2;
 
-/// With at most this many tiles along a face, the rays of a tile differ too much for a packet.
+/// The number of tiles along a face up to which the rays of a tile differ too much for a packet.
 const WIDE_TILES: u32 = 4;
 
 impl Block<'_> {
-    /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the
-    /// flood from what they find.
+    /// Casts a round of uniform lines from `cell` and floods from the newly found triangles.
+    ///
+    /// The lines are in `tiles`² tiles on each of three pairs of cube faces.
     pub(super) fn uniform(
         &self,
         s: &mut Scratch,
         cell: usize,
         tiles: u32,
-    ) -> Result<CellStats, BackendError> {
-        let c = self.cells[cell];
-        let round = u64::from(self.stats[cell].rounds);
-        let mut fixed = Hashed::new(&[self.tools.seed, c.number, SHIFT]);
+    ) -> Result<CellStats, TracerError> {
+        let c = self.table.cells[cell];
+        let round = u64::from(self.table.stats[cell].rounds);
+        let mut fixed = Hashed::new(&[self.inputs.seed, c.number, SHIFT]);
         let shift = [fixed.unit(), fixed.unit(), fixed.unit()];
-        let mut random = Hashed::new(&[self.tools.seed, c.number, round, JITTER]);
-        // Each round continues the sequence of origins of the last one.
-        let base = self.stats[cell].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
+        let mut random = Hashed::new(&[self.inputs.seed, c.number, round, JITTER]);
+        // Each round continues the sequence of origins of the previous round.
+        let base = self.table.stats[cell].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
         let mut stats = CellStats::default();
         s.next_tag();
         let total = 3 * tiles * tiles;
         let pixel = 2.0 / (4 * tiles) as f32;
         let mut finds = Vec::new();
-        let (start, mut flooding) = (self.tools.ledger.map(|_| Instant::now()), Duration::ZERO);
-        // Tiles traced before their finds are processed.
-        let chunk = (self.tools.sight.batch() / 2).max(1) as u32;
+        let (start, mut flooding) = (self.inputs.observer.map(|_| Instant::now()), Duration::ZERO);
+        // The number of tiles that are traced before their hits are processed.
+        let chunk = (self.inputs.sight.batch() / 2).max(1) as u32;
         for first in (0..total).step_by(chunk as usize) {
             if self.late() {
                 break;
@@ -54,7 +55,7 @@ impl Block<'_> {
             s.packets.clear();
             for k in first..(first + chunk).min(total) {
                 let (pair, tile) = (k / (tiles * tiles), k % (tiles * tiles));
-                let origin = c.origin(self.tools.places, spread3(base + u64::from(k), shift));
+                let origin = c.origin(self.inputs.region, spread3(base + u64::from(k), shift));
                 let [forward, right, up] = face_basis(pair * 2);
                 let mut ahead = Packet::default();
                 for lane in 0..LANES as u32 {
@@ -66,15 +67,10 @@ impl Block<'_> {
                 s.packets.push(ahead);
                 s.packets.push(behind);
             }
-            if tiles <= WIDE_TILES {
-                self.tools
-                    .sight
-                    .trace_each(&mut s.packets, &mut s.passed, self.step)?;
-            } else {
-                self.tools
-                    .sight
-                    .trace(&mut s.packets, &mut s.passed, self.step)?;
-            }
+            let coherent = tiles > WIDE_TILES;
+            self.inputs
+                .sight
+                .trace_lines(&mut s.packets, &mut s.passed, self.step, coherent)?;
             finds.clear();
             let Scratch {
                 packets,
@@ -89,14 +85,20 @@ impl Block<'_> {
                 for lane in 0..LANES {
                     let halves = [2 * pair, 2 * pair + 1];
                     let joins = lane.is_multiple_of(JOINED_LANES);
-                    let ends =
-                        self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                    let ends = self.credit_line(
+                        packets,
+                        passed,
+                        halves,
+                        lane,
+                        crossed,
+                        joins.then_some(&mut *joined),
+                    );
                     let mut meet = |triangle| {
-                        if triangle == SKY || self.seen(triangle, c.slot) {
+                        if triangle == SKY || self.table.seen(triangle, c.slot) {
                             return;
                         }
                         stats.last_misses += u64::from(!self.shown(triangle, c.slot));
-                        let met = &mut met[self.row(triangle) as usize];
+                        let met = &mut met[self.table.row(triangle) as usize];
                         if *met != *tag {
                             *met = *tag;
                             let origin = packets[2 * pair].ray(0).0;
@@ -114,20 +116,20 @@ impl Block<'_> {
             stats.last_rays += (s.packets.len() * LANES) as u64;
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
             let before = start.map(|start| start.elapsed());
-            self.flood(s, cell, (&mut finds, FLOOD_STEPS), &mut random, &mut stats)?;
+            self.flood(s, cell, &mut finds, FLOOD_STEPS, &mut random, &mut stats)?;
             flooding += start
                 .zip(before)
                 .map_or(Duration::ZERO, |(start, before)| start.elapsed() - before);
         }
         stats.rays[LineKind::Uniform as usize] = stats.last_rays;
-        if let (Some(ledger), Some(start)) = (self.tools.ledger, start) {
+        if let (Some(observer), Some(start)) = (self.inputs.observer, start) {
             let all = start.elapsed();
             for (kind, time) in [
                 (LineKind::Uniform, all - flooding),
                 (LineKind::Flood, flooding),
             ] {
-                let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
-                ledger.spent(self.stats[cell].rounds, kind, rays, finds, time);
+                let [rays, finds] = [stats.rays, stats.finds].map(|counts| counts[kind as usize]);
+                observer.spent(self.table.stats[cell].rounds, kind, rays, finds, time);
             }
         }
         Ok(stats)

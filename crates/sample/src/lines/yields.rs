@@ -1,42 +1,47 @@
-//! The number of tries at a candidate in a round: as many as find more per unit of work than uniform rays.
+//! The number of attempts at a candidate in a round, such that attempts find more per work than uniform rays.
 //!
-//! A triangle that is found by attempt number a, aimed or by chance, is visible along about 1/a of the lines
-//! to it, so finding it adds about 1/a of its part of the sphere to the seen part. The mean of this gain over
-//! all tries is the yield of a try. A uniform ray meets an unseen triangle with the probability M that the
-//! next round counts, and a triangle that N rays have missed covers some part of 1/N ([`OF_ONE_IN`]): the
-//! yield of a uniform ray is that part of M/N. Both yields fall with the square of the number of attempts,
-//! which gives the number at which they are equal.
+//! A triangle that attempt number a finds, aimed or by chance, is visible along about 1/a of the lines to it.
+//! Finding it therefore adds about 1/a of its fraction of the sphere to the seen part. The mean of this gain
+//! over all attempts is the yield of an attempt.
 //!
-//! Candidates are classed by the decade of their part of the sphere and counted over all cells of the block,
-//! because one cell has too few. The sums are integers, so they do not depend on the order of the items.
+//! A uniform ray meets an unseen triangle with the probability M that the next round counts. A triangle that
+//! N rays have missed covers a fraction of about [`OF_ONE_IN`]/N. The yield of a uniform ray is
+//! [`OF_ONE_IN`]·M/N. Both yields fall with the square of the number of attempts, which determines the number
+//! at which they are equal.
+//!
+//! Candidates are classified by the decade of their fraction of the sphere. They are counted over all cells
+//! of the block, because one cell has too few. The sums are integers, so they do not depend on the order of
+//! the items.
 
 use sightline_trace::lines::tally::{ATTEMPT_UNIT, Counts, DECADES, GAIN_UNIT, PARTS, Tally};
 
-/// The part of the sphere that a find of the N-th uniform ray covers, in units of 1/N: less than one, because
-/// lines of other cells have missed the triangle too. A larger value hardly ever repeats a try; with a
-/// smaller one an indoor level loses time at medium errors.
+/// The fraction of the sphere that a triangle found by the N-th uniform ray covers, in units of 1/N.
+///
+/// The value is less than 1, because lines of other cells have also missed the triangle. With a larger value,
+/// attempts are almost never repeated. With a smaller value, an indoor level needs more time at medium
+/// errors.
 const OF_ONE_IN: f64 = 0.5;
-/// Most tries at a candidate in a round.
+/// Maximum number of attempts at a candidate in a round.
 const MOST: f64 = 8.0;
 
 /// The gains of aiming at candidates of a decade.
 #[derive(Default)]
 struct Decade {
-    /// Since the last plan.
+    /// The counts since the last plan.
     counts: Counts,
-    /// Tries at a candidate in all rounds before.
+    /// The number of attempts at a candidate in all previous rounds.
     so_far: f64,
-    /// Tries at a candidate in this round; the fractional part is the probability of one more. 0 before the
-    /// first round.
+    /// The number of attempts at a candidate in this round. The fractional part is the probability of one
+    /// more attempt. 0 before the first round.
     times: f64,
 }
 
-/// The yields of a block's candidates.
-pub(super) struct Yields {
+/// The yields of attempts at a block's candidates, by decade of the candidate's fraction of the sphere.
+pub(super) struct YieldTable {
     decades: [Decade; DECADES],
-    /// Uniform rays a cell had cast, on average, when the round's tries were planned.
+    /// The mean number of uniform rays per cell when the round's attempts were planned.
     rays: f64,
-    /// Work of a try in uniform rays.
+    /// The cost of one attempt at a candidate, in units of the cost of one uniform ray.
     work: f64,
 }
 
@@ -50,8 +55,9 @@ fn decade_of(part: f32) -> usize {
     decade
 }
 
-impl Yields {
-    /// Yields before the first round. `work` is the work of a try in units of a uniform ray.
+impl YieldTable {
+    /// Creates the table of a block before its first round. `work` is the cost of one attempt at a candidate,
+    /// in units of the cost of one uniform ray.
     pub(super) fn new(work: u64) -> Self {
         Self {
             decades: Default::default(),
@@ -60,13 +66,13 @@ impl Yields {
         }
     }
 
-    /// Tries at a candidate that would cover `part` of the sphere, in this round.
+    /// Returns the number of attempts in this round at a candidate that would cover `part` of the sphere.
     pub(super) fn times(&self, part: f32) -> f64 {
         self.decades[decade_of(part)].times
     }
 
-    /// What a device needs to know of the round's tries: at a candidate in this round, and in all before, by
-    /// decade.
+    /// Returns the numbers of attempts for a device: at a candidate in this round, and in all previous
+    /// rounds, by decade.
     pub(super) fn plan_for_device(&self) -> [[f32; DECADES]; 2] {
         [
             std::array::from_fn(|d| self.decades[d].times as f32),
@@ -74,15 +80,11 @@ impl Yields {
         ]
     }
 
-    /// Counts in a cell's tally try number `time` of this round, from 0, at a candidate that would cover
-    /// `part` of the sphere seen from a cell that has cast `rays` uniform rays.
-    pub(super) fn count(
-        &self,
-        tally: &mut Tally,
-        (part, time): (f32, u32),
-        rays: u64,
-        found: bool,
-    ) {
+    /// Counts an attempt in a cell's tally.
+    ///
+    /// The attempt is number `time` of this round, starting at 0, at a candidate that would cover `part` of
+    /// the sphere. The cell has cast `rays` uniform rays.
+    pub(super) fn count(&self, tally: &mut Tally, part: f32, time: u32, rays: u64, found: bool) {
         let number = decade_of(part);
         let (decade, counts) = (&self.decades[number], &mut tally.0[number]);
         let before = decade.so_far + f64::from(time) + rays as f64 * f64::from(part);
@@ -94,7 +96,7 @@ impl Yields {
         }
     }
 
-    /// Adds the tries at the candidates of a cell.
+    /// Adds the attempts at the candidates of a cell.
     pub(super) fn add(&mut self, tally: &Tally) {
         for (decade, new) in self.decades.iter_mut().zip(&tally.0) {
             let counts = &mut decade.counts;
@@ -104,11 +106,12 @@ impl Yields {
         }
     }
 
-    /// Plans the tries of a round after its uniform rays, from the gains of the last round's tries. Of the
-    /// round's `cast` uniform rays, `misses` met an unseen triangle; the cells have cast `rays` uniform rays
-    /// on average. In the first round every candidate is tried once.
+    /// Plans the attempts of a round after its uniform rays, from the gains of the last round's attempts.
+    ///
+    /// Of the round's `cast` uniform rays, `misses` met an unseen triangle. The cells have cast `rays`
+    /// uniform rays on average. In the first round every candidate has one attempt.
     pub(super) fn plan(&mut self, misses: u64, cast: u64, rays: f64) {
-        // After the last round, before this one's uniform rays.
+        // The yield after the last round, before the uniform rays of this round.
         let uniform = OF_ONE_IN * misses as f64 / cast.max(1) as f64 / self.rays;
         let grown = rays / self.rays;
         for (decade, part) in self.decades.iter_mut().zip(PARTS) {
@@ -118,7 +121,8 @@ impl Yields {
             let before = counts.before as f64 * ATTEMPT_UNIT;
             let mut times = 1.0;
             if self.rays > 0.0 && tries > 0.0 && misses > 0 {
-                // Attempts in the middle of the last round's tries, and after this round's uniform rays.
+                // The number of attempts in the middle of the last round's attempts, and after this round's
+                // uniform rays.
                 let then = before / tries + 1.0;
                 let now = before / tries + 0.5 * (decade.times + 1.0) + (rays - self.rays) * part;
                 let ratio = gain / tries / (self.work * uniform);
@@ -135,18 +139,19 @@ impl Yields {
 mod tests {
     use super::*;
 
-    /// A thousand first tries of decade 3 from cells of `rays` uniform rays.
-    fn count(yields: &mut Yields, rays: u64, found: impl Fn(u32) -> bool) {
+    /// Counts a thousand first attempts of decade 3 from cells of `rays` uniform rays.
+    fn count(yields: &mut YieldTable, rays: u64, found: impl Fn(u32) -> bool) {
         let mut tally = Tally::default();
-        (0..1000).for_each(|i| yields.count(&mut tally, (3e-4, 0), rays, found(i)));
+        (0..1000).for_each(|i| yields.count(&mut tally, 3e-4, 0, rays, found(i)));
         yields.add(&Tally::from_numbers(tally.numbers()));
     }
 
-    /// The tries in a second round at candidates of decade 3, after a first one of a thousand tries of which
-    /// `finds` found theirs, from cells of 1000 uniform rays, and another 1000 uniform rays of which `misses`
-    /// met something unseen.
+    /// Returns the number of attempts in a second round at candidates of decade 3.
+    ///
+    /// In the first round, `finds` of a thousand attempts found their candidate, from cells of 1000 uniform
+    /// rays. In the second round, `misses` of another 1000 uniform rays met an unseen triangle.
     fn second(finds: u32, misses: u64) -> f64 {
-        let mut yields = Yields::new(6);
+        let mut yields = YieldTable::new(6);
         yields.plan(0, 0, 1000.0);
         assert_eq!(yields.times(3e-4), 1.0);
         count(&mut yields, 1000, |i| i < finds);
@@ -160,9 +165,9 @@ mod tests {
     }
 
     #[test]
-    fn what_brings_more_than_uniform_rays_is_tried_until_it_does_not() {
+    fn attempts_repeat_while_they_yield_more_than_uniform_rays() {
         let by_hand = |finds: f64, misses: f64| {
-            // 0.3 attempts by uniform rays before the first try, as many since.
+            // Uniform rays count as 0.3 attempts before the first attempt, and as many since.
             let a_try = finds / 1000.0 * 3e-4 / 1.3;
             let a_ray = OF_ONE_IN * misses / 1000.0 / 1000.0;
             1.3 * (a_try / (6.0 * a_ray)).sqrt() * 2.0 - 1.3 - 0.3
@@ -177,12 +182,13 @@ mod tests {
                 "{times} for {expected}"
             );
         }
-        // Not worth it: still once, as what is visible changes with what neighbours see.
+        // A second attempt does not pay. One attempt remains, because visibility changes with the neighbours'
+        // sets.
         assert!(by_hand(100.0, 100.0) < 1.0);
         assert_eq!([second(100, 100), second(0, 2)], [1.0, 1.0]);
-        // Worth any number: no more than so many. Nothing is known without a miss.
+        // Any number of attempts pays, so the limit applies. Without a miss, the yields are unknown.
         assert!(by_hand(1000.0, 1e-3) > MOST);
-        let mut yields = Yields::new(6);
+        let mut yields = YieldTable::new(6);
         yields.plan(0, 0, 1000.0);
         count(&mut yields, 1000, |_| true);
         yields.plan(1, 1_000_000, 2000.0);
@@ -193,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn decades_are_of_the_part_of_the_sphere() {
+    fn decades_follow_part_of_sphere() {
         for (decade, part) in PARTS.into_iter().enumerate() {
             assert_eq!(decade_of(part as f32), decade);
         }

@@ -1,12 +1,12 @@
-//! The solids of generated scenes: slabs with openings, boxes and tubes. All are closed and face outwards;
-//! vertices at the same place have the same bits.
+//! The solids of generated scenes: slabs with openings, boxes and tubes. All solids are closed and face
+//! outwards, and vertices at the same position have the same bits.
 
 use glam::Vec3;
 
 use super::random::turn;
 use crate::{Object, Scene, SceneError, Triangle};
 
-/// The triangles and objects of a scene that is being generated.
+/// The triangles and objects of a scene under construction.
 #[derive(Default)]
 pub(super) struct Builder {
     triangles: Vec<Triangle>,
@@ -14,16 +14,17 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    /// The number of triangles so far.
+    /// Returns the current number of triangles.
     pub(super) fn len(&self) -> u64 {
         self.triangles.len() as u64
     }
 
-    /// Makes the triangles that `parts` adds an object called `name`.
+    /// Adds an object called `name` that consists of the triangles that `parts` adds.
     pub(super) fn object(&mut self, name: String, parts: impl FnOnce(&mut Self)) {
         let first = self.triangles.len();
         parts(self);
-        // Counts are little above MAX_TRIANGLES at most, which every kind checks before it builds.
+        // Every generator checks the number of triangles before it adds them, so counts exceed MAX_TRIANGLES
+        // only slightly.
         let count = (self.triangles.len() - first) as u32;
         self.objects.push(Object {
             name,
@@ -32,24 +33,25 @@ impl Builder {
         });
     }
 
-    /// The finished scene.
+    /// Returns the finished scene.
     pub(super) fn finish(self, file: &str) -> Result<Scene, SceneError> {
         Scene::new(file, self.triangles, self.objects)
     }
 
-    /// One triangle.
+    /// Adds a triangle.
     pub(super) fn triangle(&mut self, a: Vec3, b: Vec3, c: Vec3) {
         self.triangles.push(Triangle { v: [a, b, c] });
     }
 
-    /// Two triangles; `flip` reverses their winding.
+    /// Adds the two triangles of the quadrilateral `p`. If `flip` is true, the order of their vertices is
+    /// reversed.
     pub(super) fn quad(&mut self, p: [Vec3; 4], flip: bool) {
         let p = if flip { [p[0], p[3], p[2], p[1]] } else { p };
         self.triangle(p[0], p[1], p[2]);
         self.triangle(p[0], p[2], p[3]);
     }
 
-    /// A box of twelve triangles.
+    /// Adds a box of twelve triangles.
     pub(super) fn cuboid(&mut self, min: Vec3, max: Vec3) {
         self.slab(
             [0, 1, 2],
@@ -60,9 +62,11 @@ impl Builder {
         );
     }
 
-    /// A flat slab cut into cells by the ascending coordinates `us` and `vs`, from `ns[0]` to `ns[1]` thick,
-    /// without the cells for which `hole` holds. `axes` says which coordinate u, v and n are. Holes must not
-    /// touch one another at a corner only, or the edge there is shared by four faces.
+    /// Adds a flat slab without the cells for which `hole` returns true.
+    ///
+    /// The ascending coordinates `us` and `vs` divide the slab into cells. The slab extends from `ns[0]` to
+    /// `ns[1]` along its normal. `axes` contains the coordinate axes of u, v and n. Two holes must not touch
+    /// at only a corner, because four faces would share the edge there.
     pub(super) fn slab(
         &mut self,
         axes: [usize; 3],
@@ -99,7 +103,8 @@ impl Builder {
         }
     }
 
-    /// A tube with flat ends through `rings` of (centre, radius > 0), `sides` ≥ 3 around; see [`tube_size`].
+    /// Adds a tube with flat ends through `rings` of (centre, radius > 0), with `sides` ≥ 3 corners per ring.
+    /// [`tube_size`] returns the number of triangles.
     pub(super) fn tube(&mut self, rings: &[(Vec3, f32)], sides: u32) {
         let [(first, _), .., (last, _)] = rings else {
             return;
@@ -136,7 +141,8 @@ impl Builder {
     }
 }
 
-/// Triangles of a [`Builder::tube`] of `sides` and `segments` (one fewer than rings).
+/// Returns the number of triangles of a [`Builder::tube`] with `sides` sides and `segments` segments (the
+/// number of rings minus one).
 pub(super) fn tube_size(sides: u32, segments: u32) -> u64 {
     2 * u64::from(sides) * u64::from(segments) + 2 * u64::from(sides - 2)
 }

@@ -1,28 +1,30 @@
-//! A forest: trees of an exact number of triangles each, on a jittered grid over uneven ground.
+//! A forest: trees with an exact number of triangles each, on a jittered grid over uneven ground.
 //!
-//! A tree is a trunk, branches with twigs (closed tubes, a quarter of its triangles at most), and leaves of
+//! A tree has a trunk, branches with twigs (closed tubes, at most a quarter of its triangles), and leaves of
 //! two triangles. Such fine, scattered geometry is the hardest case for from-region methods.
 
 use glam::Vec3;
 
 use super::build::{Builder, tube_size};
-use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
+use super::params::{
+    GenerateError, MAX_TRIANGLES, SceneKind, SceneParams, contradiction, isqrt, within,
+};
 use super::random::{Random, turn};
 
-/// Average distance between trees.
+/// The average distance between trees, in metres.
 const SPACING: f32 = 6.0;
-/// Ground cells along a side of a tree's plot.
+/// The number of ground cells along a side of a tree's plot.
 const GROUND: u64 = 4;
-/// Triangles of the smallest tree: eight of the trunk and two leaves.
+/// The number of triangles of the smallest tree: eight of the trunk, and two leaves of two triangles each.
 const LEAST_TREE: u64 = 12;
 
-pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
-    const KIND: Kind = Kind::Forest;
+pub(super) fn build(b: &mut Builder, params: &SceneParams) -> Result<(), GenerateError> {
+    const KIND: SceneKind = SceneKind::Forest;
     let (trees, each) = match (params.triangles, params.trees, params.triangles_per_tree) {
         (Some(_), Some(_), Some(_)) => {
             return Err(contradiction(
                 KIND,
-                "--trees and --triangles-per-tree already fix it",
+                "--trees and --triangles-per-tree already determine the number",
             ));
         }
         (Some(total), trees, each) => {
@@ -74,7 +76,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     });
     for tree in 0..trees {
         let mut r = Random::new(params.seed, 1 + tree);
-        // At least a fifth of the spacing stays between trunks.
+        // At least a fifth of the spacing remains between trunks.
         let mut jitter = |cell: u64| (cell as f32 + r.range(0.1, 0.9)) * SPACING;
         let at = Vec3::new(jitter(tree % columns), -0.5, jitter(tree / columns));
         b.object(format!("tree {tree}"), |b| grow(b, &mut r, at, each));
@@ -82,12 +84,12 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     Ok(())
 }
 
-/// Ground cells along a side.
+/// Returns the number of ground cells along a side.
 fn ground_side(trees: u64) -> u64 {
     GROUND * (isqrt(trees - 1) + 1)
 }
 
-/// An uneven sheet of 2·side² triangles over [0, size]².
+/// Adds an uneven sheet of 2·side² triangles over the square [0, size]² in x and z.
 fn ground(b: &mut Builder, seed: u64, side: u64, size: f32) {
     let mut r = Random::new(seed, 0);
     let row = side + 1;
@@ -103,7 +105,7 @@ fn ground(b: &mut Builder, seed: u64, side: u64, size: f32) {
     }
 }
 
-/// One tree of exactly `budget` triangles, its foot at `at`.
+/// Adds one tree of exactly `budget` triangles with its foot at `at`.
 fn grow(b: &mut Builder, r: &mut Random, at: Vec3, budget: u64) {
     let start = b.len();
     let wood = budget / 4;
@@ -121,13 +123,13 @@ fn grow(b: &mut Builder, r: &mut Random, at: Vec3, budget: u64) {
         .map(|f| (stem(f), girth * (1.0 - 0.85 * f)))
         .collect();
     b.tube(&rings, sides);
-    // Ends of branches and twigs, around which the leaves hang.
+    // The branches and twigs, around which the leaves are placed.
     let mut tips = Vec::new();
     let bough = tube_size(4, 3) + 4 * tube_size(3, 1);
     let boughs = (wood.saturating_sub(tube_size(sides, segments)) / bough).min(120);
     for k in 0..boughs {
         let f = 0.3 + 0.68 * (k as f32 + r.range(0.0, 1.0)) / boughs as f32;
-        // Successive branches turn by about the golden angle.
+        // Each branch is rotated by about the golden angle from the previous branch.
         let (c, s) = turn(0.382 * k as f32 + r.range(-0.05, 0.05));
         let reach = height * 0.35 * (1.1 - f) * r.range(0.7, 1.2);
         let end = stem(f) + Vec3::new(c * reach, reach * r.range(0.2, 0.7), s * reach);
@@ -168,12 +170,12 @@ mod tests {
     #[test]
     fn every_tree_has_exactly_its_triangles() {
         for each in [12u32, 13, 100, 999, 25_000] {
-            let p = Params {
+            let p = SceneParams {
                 trees: Some(3),
                 triangles_per_tree: Some(each),
-                ..Params::default()
+                ..SceneParams::default()
             };
-            let s = generate(Kind::Forest, &p).unwrap();
+            let s = generate(SceneKind::Forest, &p).unwrap();
             assert_eq!(s.objects().len(), 4);
             assert!(s.objects()[1..].iter().all(|o| o.count == each));
             assert!(s.triangles().iter().all(|t| !t.is_degenerate()));

@@ -1,23 +1,23 @@
-//! Furniture: tables, and turned pieces (vases, lamps, columns) of any number of triangles.
+//! Furniture: tables, and turned pieces (vases, lamps, columns) with any number of triangles.
 
 use glam::Vec3;
 
 use super::build::{Builder, tube_size};
 use super::random::Random;
 
-/// Triangles of the smallest piece: a turned piece of three sides and one segment.
+/// The number of triangles of the smallest piece: a turned piece with three sides and one segment.
 pub(super) const LEAST: u64 = 8;
-/// Triangles of a table: a top and four legs.
+/// The number of triangles of a table: a top and four legs.
 const TABLE: u64 = 60;
 
-/// The part of the floor from `min` to `max` that piece `k` of `n` has for itself: a strip along z.
+/// Returns the part of the floor from `min` to `max` for piece `k` of `n`: one of `n` strips along z.
 pub(super) fn strip([min, max]: [Vec3; 2], k: u64, n: u64) -> [Vec3; 2] {
     let x = |k: u64| min.x + (max.x - min.x) * (k as f32 / n as f32);
     [min.with_x(x(k)), max.with_x(x(k + 1))]
 }
 
-/// Places a piece of about `budget` triangles (at least [`LEAST`]) at a random position on the floor between
-/// `min` and `max`, at least its own size away from the walls.
+/// Adds a piece of about `budget` triangles (at least [`LEAST`]) at a random position on the floor between
+/// `min` and `max`. The piece does not touch the borders of the floor.
 pub(super) fn piece(b: &mut Builder, r: &mut Random, [min, max]: [Vec3; 2], budget: u64) {
     let room = (max - min).with_y(0.0);
     let size = room.x.min(room.z) * r.range(0.12, 0.2);
@@ -32,12 +32,12 @@ pub(super) fn piece(b: &mut Builder, r: &mut Random, [min, max]: [Vec3; 2], budg
     }
 }
 
-/// The height of a free-standing piece as a multiple of its radius.
+/// Returns the height in metres of a free-standing piece of radius `size`: five radii, at most 1.8 m.
 fn r_height(size: f32) -> f32 {
     (size * 5.0).min(1.8)
 }
 
-/// A top on four legs, all touching and none overlapping.
+/// Adds a top on four legs. The boxes touch and do not overlap.
 fn table(b: &mut Builder, at: Vec3, half: f32, height: f32) {
     let (leg, plate) = (half * 0.12, height * 0.08);
     let under = height - plate;
@@ -50,9 +50,9 @@ fn table(b: &mut Builder, at: Vec3, half: f32, height: f32) {
     b.cuboid(at - wide + Vec3::Y * under, at + wide + Vec3::Y * height);
 }
 
-/// A solid of revolution about a vertical axis with a random, smooth outline.
+/// Adds a solid of revolution about a vertical axis with a random, smooth outline.
 fn turned(b: &mut Builder, r: &mut Random, at: Vec3, radius: f32, height: f32, budget: u64) {
-    // About as many sides as segments, so that triangles are not needles.
+    // The numbers of sides and segments are about equal, so that triangles are not needles.
     let sides = (((budget / 2).isqrt()).clamp(3, 4_000)) as u32;
     let segments = ((budget.saturating_sub(2 * u64::from(sides - 2)) / (2 * u64::from(sides)))
         .clamp(1, 1 << 20)) as u32;

@@ -1,21 +1,24 @@
-//! A perfect maze by depth-first search: exactly one path joins any two cells. It has a floor and walls but
-//! no ceiling, so the scene's bounds end at the top of the walls.
+//! A perfect maze by depth-first search: exactly one path joins any two cells. The maze has a floor and walls
+//! but no ceiling, so the scene's bounds end at the top of the walls.
 
 use glam::Vec3;
 
 use super::build::Builder;
-use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
-use super::plan::{Place, Plan, Wall};
+use super::params::{
+    GenerateError, MAX_TRIANGLES, SceneKind, SceneParams, contradiction, isqrt, within,
+};
+use super::plan::{FloorPlan, Wall, WallPosition};
 use super::random::Random;
 
-/// Triangles of a cell in a large maze: one wall and one pillar.
+/// The number of triangles of a cell in a large maze: one wall and one pillar.
 const PER_CELL: u64 = 24;
-/// Longest side in cells; beyond it, coordinates grow too large for the walls' thickness.
+/// Maximum number of columns and of rows. In larger mazes, coordinates would be too large for the thickness
+/// of the walls.
 const MAX_SIDE: u64 = 20_000;
 
-pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
-    let [cols, rows] = grid(Kind::Maze, params, PER_CELL, [16, 16], 150)?;
-    let plan = Plan {
+pub(super) fn build(b: &mut Builder, params: &SceneParams) -> Result<(), GenerateError> {
+    let [cols, rows] = grid(SceneKind::Maze, params, PER_CELL, [16, 16], 150)?;
+    let plan = FloorPlan {
         origin: Vec3::ZERO,
         cols,
         rows,
@@ -40,27 +43,28 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     Ok(())
 }
 
-/// The name of the wall at `p`.
-pub(super) fn wall_name(p: Place) -> String {
+/// Returns the name of the wall at `p`.
+pub(super) fn wall_name(p: WallPosition) -> String {
     format!("wall {} {} {}", if p.along_z { 'z' } else { 'x' }, p.i, p.j)
 }
 
-/// Columns and rows from `params.grid`, or from `params.triangles` with `per_cell` triangles for each cell.
+/// Computes columns and rows from `params.grid`, or from `params.triangles` (at least `least`) with
+/// `per_cell` triangles per cell. Returns `default` if neither is given.
 pub(super) fn grid(
-    kind: Kind,
-    params: &Params,
+    kind: SceneKind,
+    params: &SceneParams,
     per_cell: u64,
     default: [u32; 2],
     least: u64,
 ) -> Result<[u32; 2], GenerateError> {
     let [cols, rows] = match (params.grid, params.triangles) {
-        (Some(_), Some(_)) if kind == Kind::Maze => {
-            return Err(contradiction(kind, "--grid already fixes it"));
+        (Some(_), Some(_)) if kind == SceneKind::Maze => {
+            return Err(contradiction(kind, "--grid already determines the number"));
         }
         (Some(grid), _) => grid.map(u64::from),
         (None, Some(total)) => {
             within(kind, "--triangles", total, least, MAX_TRIANGLES)?;
-            // The pillars and walls of the border take the triangles of another strip of cells.
+            // The pillars and walls of the border need the triangles of an additional strip of cells.
             let side = isqrt(total / per_cell).saturating_sub(1).max(1);
             [
                 side,
@@ -73,25 +77,26 @@ pub(super) fn grid(
     within(kind, "rows of --grid", rows, 1, MAX_SIDE)?;
     within(
         kind,
-        "columns × rows × triangles each",
+        "columns × rows × triangles per cell",
         cols * rows * per_cell,
         1,
         MAX_TRIANGLES,
     )?;
-    // Both are at most MAX_SIDE.
+    // Both numbers are at most MAX_SIDE.
     Ok([cols as u32, rows as u32])
 }
 
-/// Which neighbouring cells are joined.
-pub(super) struct Open {
+/// The pairs of neighbouring cells that are joined.
+pub(super) struct JoinedCells {
     cols: u32,
-    /// For each cell, row by row: whether it is joined to the next column, and to the next row.
+    /// For each cell, row by row: true if the cell is joined to its neighbour in the next column, and true if
+    /// the cell is joined to its neighbour in the next row.
     joined: Vec<[bool; 2]>,
 }
 
-impl Open {
-    /// Whether the cells on both sides of an inner wall are joined.
-    pub(super) fn between(&self, p: Place) -> bool {
+impl JoinedCells {
+    /// Returns true if the cells on both sides of an inner wall are joined.
+    pub(super) fn between(&self, p: WallPosition) -> bool {
         let (i, j, which) = if p.along_z {
             (p.i - 1, p.j, 0)
         } else {
@@ -101,8 +106,8 @@ impl Open {
     }
 }
 
-/// A spanning tree of the cells by depth-first search from a random cell.
-pub(super) fn carve(cols: u32, rows: u32, r: &mut Random) -> Open {
+/// Computes a random spanning tree of the cells by depth-first search from a random cell.
+pub(super) fn carve(cols: u32, rows: u32, r: &mut Random) -> JoinedCells {
     let (c, n) = (cols as usize, cols as usize * rows as usize);
     let mut joined = vec![[false; 2]; n];
     let mut seen = vec![false; n];
@@ -125,7 +130,7 @@ pub(super) fn carve(cols: u32, rows: u32, r: &mut Random) -> Open {
         seen[next] = true;
         path.push(next);
     }
-    Open { cols, joined }
+    JoinedCells { cols, joined }
 }
 
 #[cfg(test)]
@@ -134,16 +139,16 @@ mod tests {
     use crate::generate::generate;
 
     #[test]
-    fn a_maze_of_n_cells_has_n_minus_one_openings() {
+    fn maze_of_n_cells_has_n_minus_one_openings() {
         for grid in [[1, 1], [1, 7], [7, 1], [2, 2], [9, 5]] {
             let open = carve(grid[0], grid[1], &mut Random::new(5, 0));
             let count = open.joined.iter().flatten().filter(|o| **o).count() as u32;
             assert_eq!(count, grid[0] * grid[1] - 1);
             let s = generate(
-                Kind::Maze,
-                &Params {
+                SceneKind::Maze,
+                &SceneParams {
                     grid: Some(grid),
-                    ..Params::default()
+                    ..SceneParams::default()
                 },
             )
             .unwrap();

@@ -1,8 +1,8 @@
 //! Test scenes of any size, byte-identical for the same arguments on every machine.
 //!
 //! Lengths are in metres, and y is up. The generators use only the operations + − × ÷ √ of IEEE arithmetic
-//! and integer random numbers, so nothing depends on the platform's mathematics library. Scenes have no
-//! materials and no texture coordinates, and all randomness comes from the seed.
+//! and integer random numbers, so the result does not depend on the platform's mathematics library. Scenes
+//! have neither materials nor texture coordinates. The seed determines all random numbers.
 
 mod build;
 mod forest;
@@ -16,32 +16,33 @@ pub mod slits;
 mod town;
 
 use build::Builder;
-pub use params::{GenerateError, Kind, MAX_TRIANGLES, Params};
+pub use params::{GenerateError, MAX_TRIANGLES, SceneKind, SceneParams};
 
 use crate::Scene;
 
 /// Generates a scene of `kind`.
 ///
 /// # Errors
-/// [`GenerateError::OutOfRange`] for zero, more than [`MAX_TRIANGLES`] and other values out of range;
-/// [`GenerateError::NotApplicable`] for options that do not apply to the kind.
-pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
+/// - [`GenerateError::OutOfRange`] if a parameter is out of range, for example zero or more than
+///   [`MAX_TRIANGLES`].
+/// - [`GenerateError::NotApplicable`] if an option does not apply to the kind, or contradicts other options.
+pub fn generate(kind: SceneKind, params: &SceneParams) -> Result<Scene, GenerateError> {
     let foreign = [
-        ("--trees", params.trees.is_some(), kind == Kind::Forest),
+        ("--trees", params.trees.is_some(), kind == SceneKind::Forest),
         (
             "--triangles-per-tree",
             params.triangles_per_tree.is_some(),
-            kind == Kind::Forest,
+            kind == SceneKind::Forest,
         ),
         (
             "--grid",
             params.grid.is_some(),
-            matches!(kind, Kind::Rooms | Kind::Maze | Kind::Slits),
+            matches!(kind, SceneKind::Rooms | SceneKind::Maze | SceneKind::Slits),
         ),
         (
             "--slit-width",
             params.slit_width.is_some(),
-            kind == Kind::Slits,
+            kind == SceneKind::Slits,
         ),
     ];
     for (option, given, applies) in foreign {
@@ -49,17 +50,17 @@ pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
             return Err(GenerateError::NotApplicable {
                 kind: kind.name(),
                 option,
-                reason: "this kind has no such thing",
+                reason: "scenes of this kind do not use the option",
             });
         }
     }
     let mut b = Builder::default();
     match kind {
-        Kind::Forest => forest::build(&mut b, params)?,
-        Kind::Town => town::build(&mut b, params)?,
-        Kind::Rooms => rooms::build(&mut b, params)?,
-        Kind::Maze => maze::build(&mut b, params)?,
-        Kind::Slits => slits::build(&mut b, params)?,
+        SceneKind::Forest => forest::build(&mut b, params)?,
+        SceneKind::Town => town::build(&mut b, params)?,
+        SceneKind::Rooms => rooms::build(&mut b, params)?,
+        SceneKind::Maze => maze::build(&mut b, params)?,
+        SceneKind::Slits => slits::build(&mut b, params)?,
     }
     Ok(b.finish(kind.name())?)
 }
@@ -68,22 +69,23 @@ pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
 mod tests {
     use super::*;
     use crate::topology::Solids;
+    use sightline_numbers::ids::TriangleId;
 
-    fn sized(kind: Kind, triangles: u64, seed: u64) -> Scene {
+    fn sized(kind: SceneKind, triangles: u64, seed: u64) -> Scene {
         generate(
             kind,
-            &Params {
+            &SceneParams {
                 seed,
                 triangles: Some(triangles),
-                ..Params::default()
+                ..SceneParams::default()
             },
         )
         .unwrap()
     }
 
     #[test]
-    fn the_same_arguments_give_the_same_bytes_and_other_seeds_others() {
-        for kind in Kind::ALL {
+    fn bytes_depend_on_arguments_and_seed() {
+        for kind in SceneKind::ALL {
             let digest = |seed| sized(kind, 5_000, seed).digest();
             assert_eq!(digest(7), digest(7), "{}", kind.name());
             assert_ne!(digest(7), digest(8), "{}", kind.name());
@@ -91,10 +93,10 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_are_those_of_every_other_machine() {
-        // Recorded digests. A change here changes scenes on which others have measured.
+    fn bytes_are_equal_on_every_machine() {
+        // Recorded digests. A change here changes scenes that existing measurements refer to.
         let digests =
-            Kind::ALL.map(|kind| sized(kind, 5_000, 7).digest().to_string()[..16].to_owned());
+            SceneKind::ALL.map(|kind| sized(kind, 5_000, 7).digest().to_string()[..16].to_owned());
         assert_eq!(
             digests,
             [
@@ -108,8 +110,8 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_about_what_was_asked_and_objects_have_names_of_their_own() {
-        for kind in Kind::ALL {
+    fn sizes_match_request_and_object_names_are_unique() {
+        for kind in SceneKind::ALL {
             for target in [2_000u64, 30_000, 200_000] {
                 let s = sized(kind, target, 1);
                 let n = f64::from(s.len()) / target as f64;
@@ -135,13 +137,18 @@ mod tests {
     }
 
     #[test]
-    fn walls_houses_and_furniture_are_closed_and_face_out() {
-        for kind in [Kind::Town, Kind::Rooms, Kind::Maze, Kind::Slits] {
+    fn walls_houses_and_furniture_are_closed_and_face_outwards() {
+        for kind in [
+            SceneKind::Town,
+            SceneKind::Rooms,
+            SceneKind::Maze,
+            SceneKind::Slits,
+        ] {
             let s = sized(kind, 20_000, 3);
-            let solids = Solids::of(&s).unwrap();
+            let solids = Solids::find(&s).unwrap();
             for o in s.objects().iter().filter(|o| o.name != "ground") {
-                let inside_out =
-                    (o.first..o.first + o.count).find(|id| solids.outward(*id) != Some(1.0));
+                let inside_out = (o.first..o.first + o.count)
+                    .find(|id| solids.outward(TriangleId(*id)) != Some(1.0));
                 assert_eq!(inside_out, None, "{}, {}", kind.name(), o.name);
             }
             assert!(
@@ -153,14 +160,14 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
-        let with = |kind, p: Params| generate(kind, &p).unwrap_err().to_string();
-        let d = Params::default();
-        for kind in Kind::ALL {
+    fn rejects_invalid_parameters() {
+        let with = |kind, p: SceneParams| generate(kind, &p).unwrap_err().to_string();
+        let d = SceneParams::default();
+        for kind in SceneKind::ALL {
             for bad in [0, 1, MAX_TRIANGLES + 1, u64::MAX] {
                 let e = with(
                     kind,
-                    Params {
+                    SceneParams {
                         triangles: Some(bad),
                         ..d
                     },
@@ -173,35 +180,35 @@ mod tests {
         }
         assert!(
             with(
-                Kind::Maze,
-                Params {
+                SceneKind::Maze,
+                SceneParams {
                     trees: Some(3),
                     ..d
                 }
             )
-            .contains("trees cannot be given")
+            .contains("trees is not applicable")
         );
         assert!(
             with(
-                Kind::Forest,
-                Params {
+                SceneKind::Forest,
+                SceneParams {
                     trees: Some(0),
                     ..d
                 }
             )
             .contains("trees is 0")
         );
-        let huge = Params {
+        let huge = SceneParams {
             trees: Some(u32::MAX),
             triangles_per_tree: Some(u32::MAX),
             ..d
         };
-        assert!(with(Kind::Forest, huge).contains("must be from"));
-        for kind in [Kind::Maze, Kind::Rooms, Kind::Slits] {
+        assert!(with(SceneKind::Forest, huge).contains("must be from"));
+        for kind in [SceneKind::Maze, SceneKind::Rooms, SceneKind::Slits] {
             assert!(
                 with(
                     kind,
-                    Params {
+                    SceneParams {
                         grid: Some([0, 4]),
                         ..d
                     }
@@ -211,7 +218,7 @@ mod tests {
             assert!(
                 with(
                     kind,
-                    Params {
+                    SceneParams {
                         grid: Some([u32::MAX; 2]),
                         ..d
                     }
@@ -222,8 +229,8 @@ mod tests {
         for w in [0.0, -1.0, f32::NAN, 1.0, 1e-9] {
             assert!(
                 with(
-                    Kind::Slits,
-                    Params {
+                    SceneKind::Slits,
+                    SceneParams {
                         slit_width: Some(w),
                         ..d
                     }
@@ -231,7 +238,7 @@ mod tests {
                 .contains("--slit-width is")
             );
         }
-        assert!("castle".parse::<Kind>().is_err());
-        assert_eq!("maze".parse::<Kind>().unwrap(), Kind::Maze);
+        assert!("castle".parse::<SceneKind>().is_err());
+        assert_eq!("maze".parse::<SceneKind>().unwrap(), SceneKind::Maze);
     }
 }

@@ -1,28 +1,28 @@
-//! The kinds of generated scenes, their parameters, and the errors of wrong ones.
+//! The kinds of generated scenes, their parameters, and the errors of invalid parameters.
 
 use crate::SceneError;
 
-/// Most triangles of a generated scene.
+/// Maximum number of triangles of a generated scene.
 pub const MAX_TRIANGLES: u64 = 500_000_000;
 
 /// The kinds of generated scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
-    /// Trees on uneven ground, each of the same number of triangles (Nirenstein and Blake 2004, section 7).
+pub enum SceneKind {
+    /// Trees on uneven ground, each with the same number of triangles (Nirenstein and Blake 2004, section 7).
     Forest,
-    /// Streets of houses full of rooms; detailed objects are visible through doors and windows (the same
-    /// paper, section 7).
+    /// Streets of houses full of rooms. Detailed objects are visible through doors and windows (Nirenstein
+    /// and Blake 2004, section 7).
     Town,
     /// One storey of furnished rooms joined by doors, under a ceiling.
     Rooms,
-    /// The walls of a perfect maze: exactly one path joins any two places.
+    /// The walls of a perfect maze: exactly one path joins any two cells.
     Maze,
-    /// Parallel walls with narrow slits at known places.
+    /// Parallel walls with narrow slits at known positions.
     Slits,
 }
 
-impl Kind {
-    /// All kinds, in the order of declaration.
+impl SceneKind {
+    /// The list of all kinds, in the order of declaration.
     pub const ALL: [Self; 5] = [
         Self::Forest,
         Self::Town,
@@ -31,7 +31,7 @@ impl Kind {
         Self::Slits,
     ];
 
-    /// The kind's name on the command line.
+    /// Returns the kind's name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Forest => "forest",
@@ -43,7 +43,7 @@ impl Kind {
     }
 }
 
-impl std::str::FromStr for Kind {
+impl std::str::FromStr for SceneKind {
     type Err = GenerateError;
 
     fn from_str(s: &str) -> Result<Self, GenerateError> {
@@ -54,72 +54,74 @@ impl std::str::FromStr for Kind {
     }
 }
 
-/// Parameters of a scene. With `None` the kind chooses the value; a parameter that does not apply to the kind
-/// is an error.
+/// The parameters of a scene. If a parameter is `None`, the kind determines its value. A parameter that does
+/// not apply to the kind is an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Params {
-    /// The seed; each seed gives another scene of the kind.
+pub struct SceneParams {
+    /// The seed of all random numbers. Different seeds give different scenes.
     pub seed: u64,
-    /// All kinds: the approximate number of triangles. It is an error where `trees`, `triangles_per_tree` and
-    /// `grid` determine the number already.
+    /// All kinds: the approximate number of triangles. It is an error if other parameters already determine
+    /// the number: `trees` together with `triangles_per_tree`, or `grid` of a maze or of slits.
     pub triangles: Option<u64>,
-    /// Forest: the number of trees (default 200).
+    /// Forest: the number of trees. Default: 200.
     pub trees: Option<u32>,
-    /// Forest: the exact number of triangles of each tree (default 25 000).
+    /// Forest: the exact number of triangles of each tree. Default: 25 000.
     pub triangles_per_tree: Option<u32>,
-    /// Rooms and maze: columns and rows of rooms or maze cells; slits: walls and slits in each.
+    /// Rooms and maze: columns and rows of rooms or maze cells. Slits: the number of walls, and of slits in
+    /// each wall.
     pub grid: Option<[u32; 2]>,
-    /// Slits: width of a slit as a fraction of the wall's side, 1e-7 to 0.1 (1e-3).
+    /// Slits: the width of a slit as a fraction of the wall's side, from 1e-7 to 0.1. Default: 1e-3, or less
+    /// for many slits.
     pub slit_width: Option<f32>,
 }
 
-/// Why a scene could not be generated.
+/// The reason why a scene could not be generated.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// There is no kind of this name.
-    #[error("there is no kind of scene called {name:?}; choose forest, town, rooms, maze or slits")]
+    /// A name that no kind of generated scene has.
+    #[error("the kind of scene {name:?} is unknown; choose forest, town, rooms, maze or slits")]
     UnknownKind {
-        /// The name that was given.
+        /// The name that the caller gave.
         name: String,
     },
-    /// A number is out of range.
-    #[error("{kind}: {option} is {value}; it must be from {least} to {most}")]
+    /// A number that is out of range.
+    #[error("{kind}: {option} is {value}, but must be from {least} to {most}")]
     OutOfRange {
-        /// Name of the kind.
+        /// The name of the kind of scene.
         kind: &'static str,
-        /// The option at fault, as `sightline generate` calls it.
+        /// The option at fault, as `sightline generate` names it, or a quantity that options determine.
         option: &'static str,
-        /// The value that was given, or that follows from other options.
+        /// The value of the option or quantity.
         value: String,
-        /// The least value accepted.
+        /// The minimum valid value.
         least: String,
-        /// The greatest value accepted.
+        /// The maximum valid value.
         most: String,
     },
-    /// An option does not apply to the kind, or contradicts other options.
-    #[error("{kind}: {option} cannot be given here: {reason}; leave it out")]
+    /// An option that does not apply to the kind of scene, or contradicts other options.
+    #[error("{kind}: {option} is not applicable: {reason}; omit {option}")]
     NotApplicable {
-        /// Name of the kind.
+        /// The name of the kind of scene.
         kind: &'static str,
-        /// The option at fault, as `sightline generate` calls it.
+        /// The option at fault, as `sightline generate` names it.
         option: &'static str,
-        /// The reason.
+        /// The reason why the option is not applicable.
         reason: &'static str,
     },
-    /// The triangles do not form a valid scene.
+    /// Triangles that do not form a valid scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
 }
 
-/// `value` when it is from `least` to `most`, else an error.
+/// Returns `value` if it is from `least` to `most`, otherwise an error.
 pub(super) fn within<T: PartialOrd + std::fmt::Display>(
-    kind: Kind,
+    kind: SceneKind,
     option: &'static str,
     value: T,
     least: T,
     most: T,
 ) -> Result<T, GenerateError> {
-    // Written so that NaN is refused too.
+    // The comparison also rejects NaN.
     if value >= least && value <= most {
         return Ok(value);
     }
@@ -133,8 +135,8 @@ pub(super) fn within<T: PartialOrd + std::fmt::Display>(
     })
 }
 
-/// Refuses `triangles` together with options that determine the number.
-pub(super) fn contradiction(kind: Kind, reason: &'static str) -> GenerateError {
+/// Creates the error for `triangles` together with other options that determine the number of triangles.
+pub(super) fn contradiction(kind: SceneKind, reason: &'static str) -> GenerateError {
     GenerateError::NotApplicable {
         kind: kind.name(),
         option: "--triangles",
@@ -142,7 +144,7 @@ pub(super) fn contradiction(kind: Kind, reason: &'static str) -> GenerateError {
     }
 }
 
-/// The greatest integer whose square is not above `x`.
+/// Returns the largest integer whose square is not above `x`.
 pub(super) fn isqrt(x: u64) -> u64 {
     x.isqrt()
 }

@@ -1,8 +1,8 @@
-//! A floor plan on a grid: pillars at its corners, walls between them, doors and windows in the walls.
+//! A floor plan on a grid: pillars at the grid corners, walls between the pillars, and doors and windows in
+//! the walls.
 //!
-//! Walls end at the pillars' faces, so that the solids touch without overlapping and leave no crack. Pillars
-//! are a little thicker than walls, so that no edge of one is an edge of the other and each stays a closed
-//! solid.
+//! Walls end at the faces of the pillars, so the solids touch without overlaps and without cracks. Pillars
+//! are slightly thicker than walls, so walls and pillars do not share edges and each remains a closed solid.
 
 use glam::Vec3;
 
@@ -14,16 +14,16 @@ use super::random::Random;
 pub(super) enum Wall {
     /// A wall without opening.
     Solid,
-    /// A wall with an opening from the floor to door height, at a random place.
+    /// A wall with an opening from the floor to door height, at a random position.
     Door,
-    /// A wall with an opening at breast height, at a random place.
+    /// A wall with an opening at breast height, at a random position.
     Window,
 }
 
-/// Which grid line a wall lies on: along x between (i, j) and (i+1, j), or along z between (i, j) and (i,
+/// The position of a wall: along x between the corners (i, j) and (i+1, j), or along z between (i, j) and (i,
 /// j+1).
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct WallPosition {
     pub(super) along_z: bool,
     pub(super) i: u32,
     pub(super) j: u32,
@@ -31,30 +31,32 @@ pub(super) struct Place {
 
 /// A storey of `cols` × `rows` square cells.
 #[derive(Clone, Copy)]
-pub(super) struct Plan {
-    /// The corner pillar's foot.
+pub(super) struct FloorPlan {
+    /// The foot of the pillar at corner (0, 0).
     pub(super) origin: Vec3,
     pub(super) cols: u32,
     pub(super) rows: u32,
-    /// Distance between grid lines.
+    /// The distance between grid lines, in metres.
     pub(super) cell: f32,
+    /// The height of walls and pillars, in metres.
     pub(super) height: f32,
+    /// The thickness of walls, in metres.
     pub(super) thickness: f32,
 }
 
-impl Plan {
-    /// All places for walls: those along x row by row, then those along z.
-    pub(super) fn places(&self) -> impl Iterator<Item = Place> + use<> {
+impl FloorPlan {
+    /// Returns all positions of walls: the walls along x row by row, then the walls along z.
+    pub(super) fn places(&self) -> impl Iterator<Item = WallPosition> + use<> {
         let Self { cols, rows, .. } = *self;
         let along_x = (0..=rows).flat_map(move |j| {
-            (0..cols).map(move |i| Place {
+            (0..cols).map(move |i| WallPosition {
                 along_z: false,
                 i,
                 j,
             })
         });
         let along_z = (0..rows).flat_map(move |j| {
-            (0..=cols).map(move |i| Place {
+            (0..=cols).map(move |i| WallPosition {
                 along_z: true,
                 i,
                 j,
@@ -63,8 +65,8 @@ impl Plan {
         along_x.chain(along_z)
     }
 
-    /// Whether a wall at this place is on the border.
-    pub(super) fn is_outer(&self, p: Place) -> bool {
+    /// Returns true if a wall at this position is on the border.
+    pub(super) fn is_outer(&self, p: WallPosition) -> bool {
         if p.along_z {
             p.i == 0 || p.i == self.cols
         } else {
@@ -72,13 +74,13 @@ impl Plan {
         }
     }
 
-    /// The least and greatest coordinate of grid line `k`'s thickness along `axis` (0: x, 2: z).
+    /// Returns the minimum and maximum coordinate of a wall on grid line `k` along `axis` (0: x, 2: z).
     fn line(&self, axis: usize, k: u32) -> [f32; 2] {
         let middle = self.origin[axis] + k as f32 * self.cell;
         [middle - self.thickness / 2.0, middle + self.thickness / 2.0]
     }
 
-    /// The same for the pillars on the grid line.
+    /// Returns the minimum and maximum coordinate of a pillar on grid line `k` along `axis` (0: x, 2: z).
     fn pillars(&self, axis: usize, k: u32) -> [f32; 2] {
         let middle = self.origin[axis] + k as f32 * self.cell;
         [
@@ -87,7 +89,7 @@ impl Plan {
         ]
     }
 
-    /// The free floor of cell (i, j): least and greatest x and z at floor height.
+    /// Returns the free floor of cell (i, j): the minimum and maximum corner at floor height.
     pub(super) fn floor(&self, i: u32, j: u32) -> [Vec3; 2] {
         let y = self.origin.y;
         let (x, z) = (
@@ -97,8 +99,8 @@ impl Plan {
         [Vec3::new(x[0], y, z[0]), Vec3::new(x[1], y, z[1])]
     }
 
-    /// A box below or above the whole plan, at heights `from` … `to` above its floor and `overhang` beyond
-    /// its walls.
+    /// Adds a box below or above the whole plan, between the heights `from` and `to` in metres above the
+    /// floor. The box extends `overhang` metres beyond the outer pillars.
     pub(super) fn plate(&self, b: &mut Builder, from: f32, to: f32, overhang: f32) {
         let y = self.origin.y;
         let out = Vec3::new(overhang, 0.0, overhang);
@@ -111,15 +113,15 @@ impl Plan {
         b.cuboid(min, max);
     }
 
-    /// The pillar at grid corner (i, j).
+    /// Adds the pillar at grid corner (i, j).
     pub(super) fn pillar(&self, b: &mut Builder, i: u32, j: u32) {
         let (x, z) = (self.pillars(0, i), self.pillars(2, j));
         let y = [self.origin.y, self.origin.y + self.height];
         b.cuboid(Vec3::new(x[0], y[0], z[0]), Vec3::new(x[1], y[1], z[1]));
     }
 
-    /// A wall at `p`.
-    pub(super) fn wall(&self, b: &mut Builder, p: Place, wall: Wall, r: &mut Random) {
+    /// Adds a wall at `p`.
+    pub(super) fn wall(&self, b: &mut Builder, p: WallPosition, wall: Wall, r: &mut Random) {
         let (axes, u, line) = if p.along_z {
             ([2, 1, 0], p.j, p.i)
         } else {

@@ -1,4 +1,4 @@
-//! Random numbers of the generators, and sines and cosines, which are the same on every machine.
+//! The random numbers of the generators, and sines and cosines that are equal on every machine.
 
 use glam::Vec3;
 use sightline_numbers::random::{SplitMix64, mix};
@@ -7,24 +7,25 @@ use sightline_numbers::random::{SplitMix64, mix};
 pub(super) struct Random(SplitMix64);
 
 impl Random {
-    /// Stream `index` of `seed`. Streams are independent, so one part can change without changing the others.
+    /// Creates stream `index` of `seed`. Streams are independent, so a change of one part of a scene does not
+    /// change other parts.
     pub(super) fn new(seed: u64, index: u64) -> Self {
         Self(SplitMix64::new(mix(
             seed ^ mix(index.wrapping_add(0x5157_4c49_4e45))
         )))
     }
 
-    /// An integer in 0 … n−1 (0 when n is 0).
+    /// Returns a random integer in 0 … n−1, or 0 if n is 0.
     pub(super) fn below(&mut self, n: u32) -> u32 {
         (((self.0.bits() >> 32) * u64::from(n)) >> 32) as u32
     }
 
-    /// A number in [lo, hi], in steps of (hi − lo)·2⁻²⁴.
+    /// Returns a random number in [lo, hi], in steps of (hi − lo)·2⁻²⁴.
     pub(super) fn range(&mut self, lo: f32, hi: f32) -> f32 {
         lo + (hi - lo) * self.0.unit_f32()
     }
 
-    /// A direction of length 1, uniform on the sphere.
+    /// Returns a random direction of length 1, uniform on the sphere.
     pub(super) fn direction(&mut self) -> Vec3 {
         let y = self.range(-1.0, 1.0);
         let (c, s) = turn(self.range(0.0, 1.0));
@@ -33,7 +34,7 @@ impl Random {
     }
 }
 
-/// Cosine and sine of a fraction of a full turn.
+/// Returns the cosine and sine of a fraction of a full turn.
 pub(super) fn turn(fraction: f32) -> (f32, f32) {
     let (c, s) = crate::turn::of_quarters(f64::from(fraction) * 4.0);
     (c as f32, s as f32)
@@ -44,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_of_a_seed_are_as_in_every_version() {
+    fn streams_of_seed_are_equal_in_every_version() {
         let mut r = Random::new(1, 2);
         let expected = [
             0xbff0_3c8f_6f00_374e,
@@ -69,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_kept() {
+    fn random_numbers_are_in_range() {
         let mut r = Random::new(1, 2);
         for _ in 0..1000 {
             assert!(r.below(7) < 7 && (2.0..=3.0).contains(&r.range(2.0, 3.0)));

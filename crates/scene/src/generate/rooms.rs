@@ -1,36 +1,36 @@
-//! One storey of furnished rooms: a door for every branch of a spanning tree of the rooms and for a third of
-//! the other inner walls, a floor and a ceiling, no windows.
+//! One storey of furnished rooms with a floor and a ceiling, without windows. Every branch of a spanning tree
+//! of the rooms and a third of the other inner walls have a door.
 
 use glam::Vec3;
 
 use super::build::Builder;
-use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, within};
-use super::plan::{Plan, Wall};
+use super::params::{GenerateError, MAX_TRIANGLES, SceneKind, SceneParams, within};
+use super::plan::{FloorPlan, Wall};
 use super::random::Random;
 use super::{furniture, maze};
 
-/// Triangles of a room when only one of size and grid is given.
+/// The number of triangles of a room if only `triangles`, only `grid` or neither is given.
 const PER_ROOM: u64 = 800;
-/// Pieces of furniture in a room.
+/// The number of pieces of furniture in a room.
 const PIECES: u64 = 3;
 
-pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
+pub(super) fn build(b: &mut Builder, params: &SceneParams) -> Result<(), GenerateError> {
     if let Some(total) = params.triangles {
-        within(Kind::Rooms, "--triangles", total, 300, MAX_TRIANGLES)?;
+        within(SceneKind::Rooms, "--triangles", total, 300, MAX_TRIANGLES)?;
     }
-    let [cols, rows] = maze::grid(Kind::Rooms, params, PER_ROOM, [6, 4], 300)?;
+    let [cols, rows] = maze::grid(SceneKind::Rooms, params, PER_ROOM, [6, 4], 300)?;
     let rooms = u64::from(cols) * u64::from(rows);
-    // Triangles of the pillar, walls, doors and coarsest furniture of a room, and of the border.
+    // The number of triangles of a room's pillar, walls, doors and coarsest furniture, and of the border.
     let least = 150 * rooms + 30 * (u64::from(cols) + u64::from(rows));
     let target = params.triangles.unwrap_or(rooms * PER_ROOM);
     within(
-        Kind::Rooms,
-        "triangles for that many rooms",
+        SceneKind::Rooms,
+        "the number of triangles for the requested rooms",
         target,
         least,
         MAX_TRIANGLES,
     )?;
-    let plan = Plan {
+    let plan = FloorPlan {
         origin: Vec3::ZERO,
         cols,
         rows,
@@ -54,8 +54,8 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
         let wall = if door { Wall::Door } else { Wall::Solid };
         b.object(maze::wall_name(p), |b| plan.wall(b, p, wall, &mut r));
     }
-    // The remaining triangles are shared equally by the remaining pieces; later pieces get those that a piece
-    // leaves.
+    // The remaining triangles are divided equally among the remaining pieces. A later piece gets the
+    // triangles that an earlier piece does not use.
     let mut left = rooms * PIECES;
     for j in 0..rows {
         for i in 0..cols {

@@ -1,33 +1,40 @@
-//! Parallel walls with narrow upright slits at known places. From between two walls, everything beyond them
-//! is visible through slits only, so visibility is known by construction.
+//! Parallel walls with narrow upright slits at known positions. From a point between two walls, everything
+//! beyond these walls is visible only through slits, so visibility is known by construction.
 //!
-//! The walls are unit squares over [−½, ½]² in x and y, one behind the other along z. The scene's bounds are
-//! those of the walls, so no line inside the bounds passes beside a wall. The last wall has no slit. Slits
-//! are drawn at the precision of `f32` there: a width of 1e-7 is three or four steps.
+//! The walls are unit squares over [−½, ½]² in x and y, one behind the other along z. The scene's bounds
+//! equal the bounds of the walls, so no line inside the bounds passes next to a wall. The last wall has no
+//! slit. The positions of slits have the precision of `f32`: a width of 1e-7 is three or four steps.
 
 use super::build::Builder;
-use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
+use super::params::{
+    GenerateError, MAX_TRIANGLES, SceneKind, SceneParams, contradiction, isqrt, within,
+};
 use super::random::Random;
 
-/// A wall's thickness; a slit lets through directions up to its width over this away from the normal.
+/// The thickness of a wall. Lines through a slit have an angle to the wall's normal whose tangent in x is at
+/// most the slit's width divided by this thickness.
 pub const THICKNESS: f32 = 0.0078125;
-/// Distance between the fronts of neighbouring walls.
+/// The distance between the fronts of neighbouring walls.
 pub const DISTANCE: f32 = 0.25;
-/// A slit reaches from −[`HALF_HEIGHT`] to this.
+/// Half the height of a slit, which extends from −[`HALF_HEIGHT`] to [`HALF_HEIGHT`].
 pub const HALF_HEIGHT: f32 = 0.375;
-/// Triangles that a slit adds to a wall, and triangles of a wall without slits.
+/// The number of triangles that a slit adds to a wall. [`PER_WALL`] is the number of triangles of a wall
+/// without slits.
 const PER_SLIT: u64 = 36;
 const PER_WALL: u64 = 28;
 
-/// The slits of each wall but the last as intervals in x, ascending and disjoint. Wall k
-/// stands from z = k·[`DISTANCE`] to z = k·[`DISTANCE`] + [`THICKNESS`].
+/// Computes the slits of each wall except the last as ascending, disjoint intervals in x.
+///
+/// Wall k extends from z = k·[`DISTANCE`] to z = k·[`DISTANCE`] + [`THICKNESS`].
 ///
 /// # Errors
-/// As [`super::generate`] for [`Kind::Slits`].
-pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
-    const KIND: Kind = Kind::Slits;
+/// The errors of [`super::generate`] for [`SceneKind::Slits`].
+pub fn layout(params: &SceneParams) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
+    const KIND: SceneKind = SceneKind::Slits;
     let [walls, slits] = match (params.grid, params.triangles) {
-        (Some(_), Some(_)) => return Err(contradiction(KIND, "--grid already fixes it")),
+        (Some(_), Some(_)) => {
+            return Err(contradiction(KIND, "--grid already determines the number"));
+        }
         (Some(grid), None) => grid.map(u64::from),
         (None, Some(total)) => {
             within(KIND, "--triangles", total, 140, MAX_TRIANGLES)?;
@@ -44,7 +51,7 @@ pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
     let size = (walls - 1) * (slits * PER_SLIT + PER_WALL);
     within(
         KIND,
-        "triangles of the walls and slits asked for",
+        "the number of triangles of the requested walls and slits",
         size,
         1,
         MAX_TRIANGLES,
@@ -56,11 +63,11 @@ pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
         1e-7,
         0.1,
     )?;
-    // Each slit lies in the middle half of its own strip, so neighbours stay apart.
+    // Each slit is in the middle half of a separate strip, so neighbouring slits are disjoint.
     let strip = 1.0 / slits as f32;
     within(
         KIND,
-        "--slit-width times the slits to a wall",
+        "--slit-width times the slits per wall",
         width * slits as f32,
         0.0,
         0.25,
@@ -78,12 +85,12 @@ pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
         .collect())
 }
 
-/// A thousandth of the wall, or a sixteenth of a strip where there are many.
+/// Returns the default width: a thousandth of the wall, or a sixteenth of a strip if there are many slits.
 fn default_width(slits: u64) -> f32 {
     (0.0625 / slits as f32).clamp(1e-7, 1e-3)
 }
 
-pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
+pub(super) fn build(b: &mut Builder, params: &SceneParams) -> Result<(), GenerateError> {
     let walls = layout(params)?;
     let depth = |k: usize| [k as f32 * DISTANCE, k as f32 * DISTANCE + THICKNESS];
     let vs = [-0.5, -HALF_HEIGHT, HALF_HEIGHT, 0.5];
@@ -114,11 +121,11 @@ mod tests {
     use crate::generate::generate;
 
     #[test]
-    fn the_narrowest_slits_are_open_and_apart() {
-        let p = Params {
+    fn narrowest_slits_are_open_and_disjoint() {
+        let p = SceneParams {
             grid: Some([4, 9]),
             slit_width: Some(1e-7),
-            ..Params::default()
+            ..SceneParams::default()
         };
         let layout = layout(&p).unwrap();
         assert_eq!((layout.len(), layout[0].len()), (3, 9));
@@ -130,7 +137,7 @@ mod tests {
                     .all(|[a, b]| f64::from(*b) - f64::from(*a) < 1.5e-7)
             );
         }
-        let s = generate(Kind::Slits, &p).unwrap();
+        let s = generate(SceneKind::Slits, &p).unwrap();
         assert_eq!(u64::from(s.len()), 3 * (9 * PER_SLIT + PER_WALL) + 12);
         assert!(s.triangles().iter().all(|t| !t.is_degenerate()));
     }

@@ -6,28 +6,28 @@ use glam::Vec3;
 
 use super::build::Builder;
 use super::furniture;
-use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, isqrt, within};
-use super::plan::{Plan, Wall};
+use super::params::{GenerateError, MAX_TRIANGLES, SceneKind, SceneParams, isqrt, within};
+use super::plan::{FloorPlan, Wall};
 use super::random::Random;
 
-/// Approximate number of triangles of the town in Nirenstein and Blake 2004.
+/// The approximate number of triangles of the town in Nirenstein and Blake 2004.
 const DEFAULT: u64 = 1_330_000;
-/// Triangles of a house, in a town that is large enough.
+/// The number of triangles of a house, in a town that is large enough.
 const PER_HOUSE: u64 = 20_000;
-/// Pieces of furniture in a room.
+/// The number of pieces of furniture in a room.
 const THINGS: u64 = 2;
-/// Distance between the fronts of neighbouring houses, street included.
+/// The distance between the fronts of neighbouring houses in metres, including the street.
 const LOT: f32 = 26.0;
-/// Side of a room.
+/// The side of a room in metres.
 const ROOM: f32 = 4.0;
-/// Height of a storey's walls, and thickness of walls and floors: numbers whose sums are exact, so that
-/// storeys stand on one another without a crack.
+/// The height of a storey's walls in metres. The sums of this height and the thickness [`THICK`] of walls and
+/// floors are exact, so storeys are stacked without cracks.
 const STOREY: f32 = 2.75;
 const THICK: f32 = 0.25;
 
-pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
+pub(super) fn build(b: &mut Builder, params: &SceneParams) -> Result<(), GenerateError> {
     let target = within(
-        Kind::Town,
+        SceneKind::Town,
         "--triangles",
         params.triangles.unwrap_or(DEFAULT),
         2_000,
@@ -45,7 +45,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
             }
         }
     });
-    // Houses come first; furniture gets the remaining triangles.
+    // Houses come first, and furniture gets the remaining triangles.
     let mut rooms: Vec<(u64, [Vec3; 2])> = Vec::new();
     for house in 0..houses {
         let mut r = Random::new(params.seed, 1 + house);
@@ -59,7 +59,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
             0.0,
             (house / columns) as f32 * LOT,
         );
-        let plan = |storey: u32| Plan {
+        let plan = |storey: u32| FloorPlan {
             origin: corner + Vec3::Y * (THICK + storey as f32 * (STOREY + THICK)),
             cols,
             rows: depth,
@@ -94,9 +94,10 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     Ok(())
 }
 
-/// One storey: its floor, pillars and walls; `front` is the column of the front door on the side of least z.
-fn build_storey(b: &mut Builder, r: &mut Random, plan: &Plan, front: Option<u32>) {
-    // The lowest floor reaches below the ground, so that no two surfaces coincide there.
+/// Adds one storey: its floor, pillars and walls. `front` is the column of the front door on the side of
+/// minimum z.
+fn build_storey(b: &mut Builder, r: &mut Random, plan: &FloorPlan, front: Option<u32>) {
+    // The lowest floor extends below the ground, so that no two surfaces coincide there.
     plan.plate(
         b,
         if front.is_some() {

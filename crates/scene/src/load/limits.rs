@@ -1,27 +1,28 @@
-//! What all loaders share: limits, the reading of files, and the texts of remedies.
+//! Code that all loaders share: limits, file reading, and the texts of remedies.
 
 use std::path::Path;
 
 use crate::SceneError;
 
-/// Remedy for a file that violates its format.
+/// The remedy for a file that violates its format.
 pub(crate) const EXPORT_AGAIN: &str =
-    "the file is damaged or its exporter is at fault; export or copy it again";
-/// Remedy for a coordinate that is no finite 32-bit float.
+    "the file is damaged or its exporter is at fault; export or copy the file again";
+/// The remedy for a coordinate that is not a finite 32-bit float.
 pub(crate) const REPAIR_VERTEX: &str =
     "remove or repair the vertex (coordinates must be finite 32-bit floats) and export again";
 
-/// Limits of a loaded scene. Instances and strips can name far more triangles than the file has bytes.
+/// The maximum size of a loaded scene. Instances and strips can describe far more triangles than the file has
+/// bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Most triangles accepted.
+pub struct LoadLimits {
+    /// Maximum number of triangles.
     pub triangles: u32,
-    /// Most objects accepted.
+    /// Maximum number of objects.
     pub objects: u32,
 }
 
-impl Default for Limits {
-    /// 268 435 456 triangles (9.7 GB of vertices) and 4 194 304 objects.
+impl Default for LoadLimits {
+    /// Returns limits of 268 435 456 triangles (9.7 GB of vertices) and 4 194 304 objects.
     fn default() -> Self {
         Self {
             triangles: 1 << 28,
@@ -30,7 +31,7 @@ impl Default for Limits {
     }
 }
 
-/// At most `limit` bytes of a regular file; anything else (a directory, a device, a pipe) is refused.
+/// Reads at most `limit` bytes of a regular file. Rejects a directory, a device or a pipe.
 pub(super) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
     use std::io::Read;
     let io = |e| SceneError::io(path, e);
@@ -39,7 +40,7 @@ pub(super) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> 
         return Err(SceneError::bad(
             path.display().to_string(),
             "whole file",
-            "it is not a regular file",
+            "the path is not a regular file",
             "name a scene file (.obj, .ply, .gltf or .glb)",
         ));
     }
@@ -52,25 +53,28 @@ pub(super) fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> 
     Ok(bytes)
 }
 
-/// The refusal of a scene with more triangles than `limits` allows.
-pub(super) fn too_many_triangles(file: &str, element: String, limits: &Limits) -> SceneError {
+/// Creates the error for a scene that has more triangles than `limits` allows from `element` on.
+pub(super) fn too_many_triangles(file: &str, element: String, limits: &LoadLimits) -> SceneError {
     SceneError::bad(
         file,
         element,
         format!(
-            "the scene has more than {} triangles with it",
+            "with this element, the scene has more than {} triangles",
             limits.triangles
         ),
         "split the scene into parts, or use fewer instances",
     )
 }
 
-/// The refusal of a scene with more objects than `limits` allows.
-pub(super) fn too_many_objects(file: &str, element: String, limits: &Limits) -> SceneError {
+/// Creates the error for a scene that has more objects than `limits` allows from `element` on.
+pub(super) fn too_many_objects(file: &str, element: String, limits: &LoadLimits) -> SceneError {
     SceneError::bad(
         file,
         element,
-        format!("the scene has more than {} objects with it", limits.objects),
+        format!(
+            "with this element, the scene has more than {} objects",
+            limits.objects
+        ),
         "merge objects before exporting",
     )
 }

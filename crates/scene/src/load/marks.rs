@@ -1,4 +1,5 @@
-//! The kinds and sides of triangles that a loader finds, and the rules of the user, which go before the file.
+//! The kinds and sides of triangles that a loader finds, and the user's rules, which have precedence over the
+//! file.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -6,35 +7,35 @@ use std::collections::BTreeSet;
 use globset::{GlobBuilder, GlobMatcher};
 
 use crate::SceneError;
-use crate::kinds::{Kind, Kinds, MAX_TEXT, Rule};
+use crate::kinds::{KindRule, Kinds, MAX_TEXT, SurfaceKind};
 use crate::masks::Masks;
 use crate::sides::{Side, Sides};
 
-/// The reason of triangles about which neither file nor rule says anything.
+/// The reason of triangles whose kind neither the file nor a rule determines.
 const DEFAULT: &str = "by default";
-/// A name is near a glob when at most this part of the letters differ (Jaro-Winkler).
+/// Minimum Jaro-Winkler similarity (0 to 1) between a glob without a match and a name that the warning lists.
 const NEAR: f64 = 0.8;
-/// Most names listed beside a glob that matches nothing.
+/// Maximum number of names that a warning lists for a glob without a match.
 const MOST_NEAR: usize = 3;
 
-/// A kind with its reason.
+/// The kind of some triangles, and the reason for this kind.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mark {
-    pub(super) kind: Kind,
+    pub(super) kind: SurfaceKind,
     pub(super) reason: Cow<'static, str>,
 }
 
 impl Mark {
-    /// Opaque, because nothing says otherwise.
+    /// The mark of opaque triangles whose kind neither the file nor a rule determines.
     pub(super) const DEFAULT: Self = Self {
-        kind: Kind::Opaque,
+        kind: SurfaceKind::Opaque,
         reason: Cow::Borrowed(DEFAULT),
     };
-    /// Hidden by the file. No rule changes this kind.
-    pub(super) const HIDDEN: Self = Self::of(Kind::Hidden, "KHR_node_visibility");
+    /// The mark of triangles that the file hides. No rule changes this kind.
+    pub(super) const HIDDEN: Self = Self::new(SurfaceKind::Hidden, "KHR_node_visibility");
 
-    /// A kind for a reason that the program knows.
-    pub(super) const fn of(kind: Kind, reason: &'static str) -> Self {
+    /// Creates the mark of a kind for a reason that the program defines.
+    pub(super) const fn new(kind: SurfaceKind, reason: &'static str) -> Self {
         Self {
             kind,
             reason: Cow::Borrowed(reason),
@@ -53,7 +54,8 @@ enum Hit {
     Shown,
 }
 
-/// The matcher of a glob. `*` matches any characters, `/` included, since names of objects contain it.
+/// Compiles the matcher of a glob. `*` matches any characters, including `/`, because the names of objects
+/// contain `/`.
 fn matcher(glob: &str) -> Result<GlobMatcher, String> {
     let built = GlobBuilder::new(glob)
         .literal_separator(false)
@@ -64,14 +66,14 @@ fn matcher(glob: &str) -> Result<GlobMatcher, String> {
         .map_err(|e| e.kind().to_string())
 }
 
-impl Rule {
-    /// A rule, if the glob is one.
+impl KindRule {
+    /// Creates the rule that triangles whose object or material matches `glob` have the given kind.
     ///
     /// # Errors
-    /// The fault of the glob in words.
-    pub fn new(kind: Kind, glob: &str) -> Result<Self, String> {
+    /// A description of the fault if the glob is invalid.
+    pub fn new(kind: SurfaceKind, glob: &str) -> Result<Self, String> {
         if glob.len() > MAX_TEXT {
-            return Err(format!("a glob has at most {MAX_TEXT} bytes"));
+            return Err(format!("the glob is longer than {MAX_TEXT} bytes"));
         }
         matcher(glob).map(|_| Self {
             kind,
@@ -80,13 +82,15 @@ impl Rule {
     }
 }
 
-/// Collects the kinds and the sides of a scene's triangles, in id order.
+/// The kinds and the sides of a scene's triangles, which are collected in id order.
 pub(super) struct Marks {
-    rules: Vec<(Rule, GlobMatcher, Hit)>,
-    /// All names, when there are rules: for the names near a glob that matches nothing.
+    rules: Vec<(KindRule, GlobMatcher, Hit)>,
+    /// All names of objects, nodes, meshes and materials, if there are rules. A warning about a glob without
+    /// a match lists similar names.
     names: BTreeSet<String>,
     runs: Vec<(u32, Mark)>,
-    /// Whether the textures of masked materials are read, and whether a material asked for that.
+    /// Two flags: true if the textures of masked materials are read, and true if a material requested its
+    /// texture.
     alpha: (bool, bool),
     masks: Masks,
     sides: Vec<(u32, Side)>,
@@ -94,11 +98,13 @@ pub(super) struct Marks {
 }
 
 impl Marks {
+    /// Creates empty marks with the user's rules. `file` appears in errors.
+    ///
     /// # Errors
-    /// [`SceneError::Bad`] when a rule's glob is none.
+    /// [`SceneError::Bad`] if a rule's glob is invalid.
     pub(super) fn new(
         file: &str,
-        rules: &[Rule],
+        rules: &[KindRule],
         alpha_textures: bool,
     ) -> Result<Self, SceneError> {
         let compiled = rules.iter().map(|rule| {
@@ -107,7 +113,7 @@ impl Marks {
                     file,
                     format!("rule --{} {:?}", rule.kind.name(), rule.glob),
                     why,
-                    "mend the glob",
+                    "correct the glob",
                 )
             })?;
             Ok((rule.clone(), matcher, Hit::Nothing))
@@ -123,8 +129,10 @@ impl Marks {
         })
     }
 
-    /// Adds the next `count` triangles, which have these names (object, node, mesh, material), and the mark
-    /// of the file unless a rule matches a name. Of several rules the last one counts.
+    /// Adds the next `count` triangles, whose object, node, mesh and material have these names.
+    ///
+    /// The triangles get `mark`, the mark of the file, unless a rule matches a name. If several rules match,
+    /// the last of these rules applies.
     pub(super) fn push(&mut self, count: u32, names: &[&str], mark: &Mark) {
         let decided = self.decide(names, mark.clone());
         self.add(count, &decided);
@@ -133,7 +141,7 @@ impl Marks {
     /// Returns the mark of the last rule that matches one of these names, or `mark` if no rule does or the
     /// file hides the triangles.
     pub(super) fn decide(&mut self, names: &[&str], mark: Mark) -> Mark {
-        let hidden = mark.kind == Kind::Hidden;
+        let hidden = mark.kind == SurfaceKind::Hidden;
         let mut decided: Option<usize> = None;
         if !self.rules.is_empty() {
             for name in names.iter().copied().filter(|n| !n.is_empty()) {
@@ -160,7 +168,7 @@ impl Marks {
         }
     }
 
-    /// Adds the next `count` triangles with a mark.
+    /// Adds the next `count` triangles with `mark`, without applying the rules.
     pub(super) fn add(&mut self, count: u32, mark: &Mark) {
         match self.runs.last_mut() {
             Some((n, last)) if last == mark => *n += count,
@@ -168,17 +176,17 @@ impl Marks {
         }
     }
 
-    /// Whether the textures of masked materials are read.
+    /// Returns true if the textures of masked materials are read.
     pub(super) fn reads_alpha(&self) -> bool {
         self.alpha.0
     }
 
-    /// Notes that a material's mask was asked for.
+    /// Records that a masked material requested its alpha texture.
     pub(super) fn met_alpha(&mut self) {
         self.alpha.1 = true;
     }
 
-    /// The masks of the triangles that are marked as masked.
+    /// Sets the masks of the triangles whose kind is masked.
     pub(super) fn set_masks(&mut self, masks: Masks) {
         self.masks = masks;
     }
@@ -191,15 +199,17 @@ impl Marks {
         }
     }
 
-    /// The sides of the scene's `triangles` triangles. Formats without materials of two sides and without
-    /// transforms give none; their triangles are all met from where their vertices run counter-clockwise.
+    /// Returns the sides of the scene's `triangles` triangles.
+    ///
+    /// Formats without double-sided materials and without transforms specify no sides. Lines meet the
+    /// triangles of these formats from the side from which the vertices run counter-clockwise.
     pub(super) fn sides(&self, triangles: u32) -> Sides {
         let given: u32 = self.sides.iter().map(|(count, _)| count).sum();
         let others = (triangles.saturating_sub(given), Side::CounterClockwise);
         Sides::from_runs(self.sides.iter().copied().chain([others]))
     }
 
-    /// Adds a warning, once.
+    /// Adds a warning unless it was added before.
     pub(super) fn warn(&mut self, text: impl Into<String>) {
         let text = text.into();
         if !self.warnings.contains(&text) {
@@ -207,12 +217,12 @@ impl Marks {
         }
     }
 
-    /// The kinds, the masks of masked triangles, and the warnings.
+    /// Returns the kinds, the masks of masked triangles, and the warnings.
     pub(super) fn finish(mut self) -> (Kinds, Masks, Vec<String>) {
         if self.alpha == (true, false) {
             self.warnings.push(
-                "--alpha-textures changes nothing: no triangle has a glTF material with alphaMode MASK that \
-                 decides its kind"
+                "--alpha-textures has no effect: no triangle has a glTF material with alphaMode \
+                 MASK that decides its kind"
                     .to_owned(),
             );
         }
@@ -228,7 +238,7 @@ impl Marks {
                     let near = near(&rule.glob, &self.names);
                     let near = match near.is_empty() {
                         true => String::new(),
-                        false => format!("; names like it: {}", near.join(", ")),
+                        false => format!("; similar names: {}", near.join(", ")),
                     };
                     self.warnings.push(format!("{flag} matches no object and no material{near}"));
                 }
@@ -248,7 +258,7 @@ impl Marks {
     }
 }
 
-/// The names most like a glob without its wildcards.
+/// Finds the names that are most similar to a glob without its wildcards.
 fn near(glob: &str, names: &BTreeSet<String>) -> Vec<String> {
     let plain = glob.replace(['*', '?'], "").to_lowercase();
     let mut rated: Vec<(f64, &String)> = names
@@ -267,28 +277,31 @@ fn near(glob: &str, names: &BTreeSet<String>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sightline_numbers::ids::TriangleId;
 
-    fn rule(kind: Kind, glob: &str) -> Rule {
-        Rule::new(kind, glob).unwrap()
+    fn rule(kind: SurfaceKind, glob: &str) -> KindRule {
+        KindRule::new(kind, glob).unwrap()
     }
 
     #[test]
-    fn the_last_rule_that_matches_a_name_goes_before_the_file() {
+    fn last_matching_rule_has_precedence_over_file() {
         let rules = [
-            rule(Kind::Opaque, "*"),
-            rule(Kind::SeeThrough, "glass*"),
-            rule(Kind::Moving, "Windw"),
+            rule(SurfaceKind::Opaque, "*"),
+            rule(SurfaceKind::SeeThrough, "glass*"),
+            rule(SurfaceKind::Moving, "Windw"),
         ];
         let mut marks = Marks::new("test", &rules, false).unwrap();
         marks.push(3, &["hall/window#0", "glass pane"], &Mark::DEFAULT);
         marks.push(
             2,
             &["hall/wall#0", "brick"],
-            &Mark::of(Kind::Moving, "animated node"),
+            &Mark::new(SurfaceKind::Moving, "animated node"),
         );
         let (kinds, _, warnings) = marks.finish();
         assert_eq!(
-            (0..5).map(|t| kinds.kind(t) as u8).collect::<Vec<_>>(),
+            (0..5)
+                .map(|t| kinds.kind(TriangleId(t)) as u8)
+                .collect::<Vec<_>>(),
             [1, 1, 1, 0, 0]
         );
         assert_eq!(kinds.counts()[1].reason, "--see-through glass*");
@@ -301,15 +314,16 @@ mod tests {
     }
 
     #[test]
-    fn a_glob_that_matches_nothing_is_answered_with_names_like_it() {
-        let mut marks = Marks::new("test", &[rule(Kind::SeeThrough, "windos*")], false).unwrap();
+    fn glob_without_match_lists_similar_names() {
+        let mut marks =
+            Marks::new("test", &[rule(SurfaceKind::SeeThrough, "windos*")], false).unwrap();
         marks.push(1, &["windows", "door"], &Mark::DEFAULT);
-        assert!(marks.finish().2[0].ends_with("names like it: windows"));
-        assert!(Rule::new(Kind::Opaque, "a[").is_err());
+        assert!(marks.finish().2[0].ends_with("similar names: windows"));
+        assert!(KindRule::new(SurfaceKind::Opaque, "a[").is_err());
     }
 
     #[test]
-    fn without_marks_all_triangles_are_opaque_and_no_kind_is_kept() {
+    fn default_marks_result_in_opaque_kinds() {
         let mut marks = Marks::new("test", &[], false).unwrap();
         marks.push(4, &["a"], &Mark::DEFAULT);
         assert_eq!(marks.finish(), (Kinds::opaque(), Masks::none(), Vec::new()));

@@ -1,21 +1,25 @@
-//! Triangles that are in memory already: the rules of the user decide their kinds, as those of a file.
+//! Scenes from triangles in memory. The user's rules determine the kinds of triangles, as for files.
 
 use super::limits::{too_many_objects, too_many_triangles};
 use super::marks::{Mark, Marks};
-use super::names::Names;
-use super::{Loaded, Options};
+use super::names::UniqueNames;
+use super::{LoadOptions, LoadedScene};
 use crate::{Object, Scene, SceneError, Sides, Triangle};
 
-/// A scene of triangles in the order of their ids, and of the objects that they form, whose names are made
-/// unique. `name` appears in errors. Rules match the names of objects.
+/// Creates a scene from `triangles` in id order and from `objects`, which must cover the ids in order.
+///
+/// The function appends `#2`, `#3`, … to names that several objects have. `name` is the file name in errors.
+/// Rules match the names of objects.
 ///
 /// # Errors
-/// As [`Scene::new`], and [`SceneError::Bad`] when the scene is beyond the limits or a rule is none.
+/// The errors of [`Scene::new`], and [`SceneError::Bad`] if the scene exceeds the limits or a rule is
+/// invalid.
 pub fn from_memory(
     name: &str,
-    (triangles, mut objects): (Vec<Triangle>, Vec<Object>),
-    options: &Options,
-) -> Result<Loaded, SceneError> {
+    triangles: Vec<Triangle>,
+    mut objects: Vec<Object>,
+    options: &LoadOptions,
+) -> Result<LoadedScene, SceneError> {
     if triangles.len() > options.limits.triangles as usize {
         return Err(too_many_triangles(name, "mesh".to_owned(), &options.limits));
     }
@@ -26,7 +30,7 @@ pub fn from_memory(
     objects
         .iter()
         .for_each(|o| marks.push(o.count, &[&o.name], &Mark::DEFAULT));
-    let mut names = Names::default();
+    let mut names = UniqueNames::default();
     objects
         .iter_mut()
         .for_each(|o| o.name = names.unique(std::mem::take(&mut o.name)));
@@ -38,7 +42,7 @@ pub fn from_memory(
         Sides::both()
     };
     let (kinds, masks, warnings) = marks.finish();
-    Ok(Loaded {
+    Ok(LoadedScene {
         scene: scene
             .with_masks(name, kinds, masks)?
             .with_sides(name, sides)?,
@@ -49,9 +53,10 @@ pub fn from_memory(
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
+    use sightline_numbers::ids::TriangleId;
 
     use super::*;
-    use crate::{Kind, Rule};
+    use crate::{KindRule, SurfaceKind};
 
     #[test]
     fn rules_match_the_names_of_objects() {
@@ -63,32 +68,39 @@ mod tests {
             first,
             count,
         };
-        let mesh = (
-            vec![triangle; 3],
-            vec![
-                object("wall", 0, 1),
-                object("wall", 1, 1),
-                object("glass pane", 2, 1),
-            ],
-        );
+        let objects = vec![
+            object("wall", 0, 1),
+            object("wall", 1, 1),
+            object("glass pane", 2, 1),
+        ];
         let rules = vec![
-            Rule::new(Kind::SeeThrough, "glass*").unwrap(),
-            Rule::new(Kind::Door, "gate").unwrap(),
+            KindRule::new(SurfaceKind::SeeThrough, "glass*").unwrap(),
+            KindRule::new(SurfaceKind::Door, "gate").unwrap(),
         ];
         let loaded = from_memory(
             "mesh",
-            mesh,
-            &Options {
+            vec![triangle; 3],
+            objects,
+            &LoadOptions {
                 rules,
-                ..Options::default()
+                ..LoadOptions::default()
             },
         )
         .unwrap();
-        let kinds: Vec<Kind> = (0..3).map(|id| loaded.scene.kinds().kind(id)).collect();
-        assert_eq!(kinds, [Kind::Opaque, Kind::Opaque, Kind::SeeThrough]);
+        let kinds: Vec<SurfaceKind> = (0..3)
+            .map(|id| loaded.scene.kinds().kind(TriangleId(id)))
+            .collect();
+        assert_eq!(
+            kinds,
+            [
+                SurfaceKind::Opaque,
+                SurfaceKind::Opaque,
+                SurfaceKind::SeeThrough
+            ]
+        );
         assert_eq!(loaded.scene.objects()[1].name, "wall#2");
         assert_eq!(loaded.warnings.len(), 1, "{:?}", loaded.warnings);
-        let nothing = from_memory("mesh", (Vec::new(), Vec::new()), &Options::default());
+        let nothing = from_memory("mesh", Vec::new(), Vec::new(), &LoadOptions::default());
         assert!(nothing.unwrap_err().to_string().contains("no triangles"));
     }
 }

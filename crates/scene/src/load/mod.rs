@@ -1,10 +1,12 @@
-//! Reading scene files: OBJ, PLY, glTF and GLB become one [`Scene`] whose ids follow the order of the file.
+//! Readers of scene files: OBJ, PLY, glTF and GLB files become one [`Scene`] whose ids follow the order of
+//! the file.
 //!
-//! The content of a file determines its kind, which must agree with the extension. Nothing is repaired: a
-//! file that violates its format is refused with the element at fault. Materials, animations and skins decide
-//! the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user does. Normals, texture
-//! coordinates (except those of masks) and morph targets are ignored.
+//! The content of a file determines its format, which must agree with the extension. Loaders do not repair
+//! files: a file that violates its format is rejected, and the error names the element at fault. Materials,
+//! animations and skins determine the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user
+//! determines the kind. Normals, texture coordinates (except those for masks) and morph targets are ignored.
 
+mod format;
 mod gltf;
 mod limits;
 mod marks;
@@ -13,38 +15,80 @@ mod mtl;
 mod names;
 mod obj;
 mod ply;
-mod sniff;
 
 use std::path::Path;
 
+use self::format::{SceneFile, SceneFormat, find_format};
 pub use self::gltf::{EXTENSIONS, Extension, Support, uri_bytes};
 use self::marks::Marks;
-use crate::{Rule, Scene, SceneError, Sides};
-pub use limits::Limits;
+use crate::{KindRule, Scene, SceneError, Sides};
+pub use limits::LoadLimits;
 use limits::read_file;
 pub use memory::from_memory;
-pub use sniff::Kind;
 
-/// Options of loading.
+/// The formats of scene files, in the order in which their signatures are compared. To add a format, add a
+/// module and a row.
+static FORMATS: [SceneFormat; 4] = [
+    SceneFormat {
+        name: "GLB",
+        extension: ".glb",
+        content: "a binary glTF (GLB)",
+        has_signature: gltf::is_glb,
+        accepts_text: false,
+        read: |file, marks| {
+            gltf::parse_glb(file.name, file.bytes, file.base_dir, file.limits, marks)
+        },
+    },
+    SceneFormat {
+        name: "glTF",
+        extension: ".gltf",
+        content: "JSON (glTF)",
+        has_signature: gltf::is_json,
+        accepts_text: false,
+        read: |file, marks| {
+            gltf::parse_json(file.name, file.bytes, file.base_dir, file.limits, marks)
+        },
+    },
+    SceneFormat {
+        name: "PLY",
+        extension: ".ply",
+        content: "a PLY file",
+        has_signature: ply::has_signature,
+        accepts_text: false,
+        read: |file, marks| ply::parse(file.name, file.bytes, file.limits, marks),
+    },
+    SceneFormat {
+        name: "OBJ",
+        extension: ".obj",
+        content: "Wavefront OBJ text",
+        has_signature: obj::has_signature,
+        accepts_text: true,
+        read: |file, marks| obj::parse(file.name, file.bytes, file.base_dir, file.limits, marks),
+    },
+];
+
+/// The options of loading.
 #[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Limits of the scene.
-    pub limits: Limits,
-    /// Rules about the kinds of triangles, which go before the file; of several that match, the last counts.
-    pub rules: Vec<Rule>,
-    /// Whether the textures of glTF materials with `alphaMode` MASK are read, so that their triangles are
-    /// masked. Otherwise these triangles are see-through as a whole.
+pub struct LoadOptions {
+    /// The maximum size of the scene.
+    pub limits: LoadLimits,
+    /// The user's rules for the kinds of triangles, which have precedence over the file. If several rules
+    /// match, the last of these rules applies.
+    pub rules: Vec<KindRule>,
+    /// True if the textures of glTF materials with `alphaMode` MASK are read, so that their triangles are
+    /// masked. Otherwise these triangles are completely see-through.
     pub alpha_textures: bool,
-    /// Whether triangles are met from their front alone, unless their material is double-sided.
+    /// True if lines meet triangles only from their front, unless their material is double-sided.
     pub cull_back_faces: bool,
 }
 
-/// A loaded scene.
+/// A loaded scene with the warnings of its loader.
 #[derive(Clone, Debug)]
-pub struct Loaded {
-    /// The scene.
+pub struct LoadedScene {
+    /// The scene of the file.
     pub scene: Scene,
-    /// Faults that did not stop the loading: a missing material library, a rule that matches nothing.
+    /// The descriptions of faults that did not stop the loading, such as a missing material library or a rule
+    /// without a match.
     pub warnings: Vec<String>,
 }
 
@@ -53,19 +97,19 @@ pub struct Loaded {
 /// Relative URIs of buffers in a glTF file are relative to the directory of the file.
 ///
 /// # Errors
-/// [`SceneError::Io`] when a file cannot be read, [`SceneError::Bad`] when its contents cannot be used.
+/// [`SceneError::Io`] if a file cannot be read, or [`SceneError::Bad`] if its contents cannot be used.
 pub fn load(path: &Path) -> Result<Scene, SceneError> {
-    load_with(path, &Options::default()).map(|l| l.scene)
+    load_with(path, &LoadOptions::default()).map(|l| l.scene)
 }
 
-/// [`load`] with options; returns warnings as well.
+/// Reads a scene as [`load`] does, with options. Also returns warnings.
 ///
 /// # Errors
-/// As [`load`].
-pub fn load_with(path: &Path, options: &Options) -> Result<Loaded, SceneError> {
+/// The errors of [`load`].
+pub fn load_with(path: &Path, options: &LoadOptions) -> Result<LoadedScene, SceneError> {
     let name = path.display().to_string();
     let bytes = read_file(path, u64::MAX)?;
-    // The empty parent of a bare file name is the current directory.
+    // The empty parent of a bare file name means the current directory.
     let base = match path.parent() {
         Some(p) if !p.as_os_str().is_empty() => p,
         _ => Path::new("."),
@@ -73,33 +117,37 @@ pub fn load_with(path: &Path, options: &Options) -> Result<Loaded, SceneError> {
     load_bytes_with(&name, &bytes, Some(base), options)
 }
 
-/// Reads a scene held in memory. `name` appears in errors and gives the extension; a name without a known
-/// extension is judged by content alone. Without `base_dir`, buffers outside the file are refused.
+/// Reads a scene from memory.
+///
+/// `name` is the file name in errors, and its extension must agree with the content. Without a known
+/// extension, only the content determines the format. Without `base_dir`, buffers outside the file are
+/// rejected.
 ///
 /// # Errors
-/// As [`load`].
+/// The errors of [`load`].
 pub fn load_bytes(name: &str, bytes: &[u8], base_dir: Option<&Path>) -> Result<Scene, SceneError> {
-    load_bytes_with(name, bytes, base_dir, &Options::default()).map(|l| l.scene)
+    load_bytes_with(name, bytes, base_dir, &LoadOptions::default()).map(|l| l.scene)
 }
 
-/// [`load_bytes`] with options; returns warnings as well.
+/// Reads a scene as [`load_bytes`] does, with options. Also returns warnings.
 ///
 /// # Errors
-/// As [`load`], and [`SceneError::Bad`] when the scene is beyond the limits.
+/// The errors of [`load`], and [`SceneError::Bad`] if the scene exceeds the limits.
 pub fn load_bytes_with(
     name: &str,
     bytes: &[u8],
     base_dir: Option<&Path>,
-    options: &Options,
-) -> Result<Loaded, SceneError> {
+    options: &LoadOptions,
+) -> Result<LoadedScene, SceneError> {
     let mut marks = Marks::new(name, &options.rules, options.alpha_textures)?;
-    let limits = &options.limits;
-    let scene = match sniff::kind_of(name, bytes)? {
-        Kind::Obj => obj::parse(name, bytes, base_dir, limits, &mut marks),
-        Kind::Ply => ply::parse(name, bytes, limits, &mut marks),
-        Kind::Gltf => gltf::parse_json(name, bytes, base_dir, limits, &mut marks),
-        Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits, &mut marks),
-    }?;
+    let file = SceneFile {
+        name,
+        bytes,
+        base_dir,
+        limits: &options.limits,
+    };
+    let format = find_format(&FORMATS, &file)?;
+    let scene = (format.read)(&file, &mut marks)?;
     scene.check_reach(name)?;
     let sides = if options.cull_back_faces {
         marks.sides(scene.len())
@@ -107,7 +155,7 @@ pub fn load_bytes_with(
         Sides::both()
     };
     let (kinds, masks, warnings) = marks.finish();
-    Ok(Loaded {
+    Ok(LoadedScene {
         scene: scene
             .with_masks(name, kinds, masks)?
             .with_sides(name, sides)?,

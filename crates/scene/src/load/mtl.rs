@@ -1,4 +1,4 @@
-//! Material libraries of OBJ files (.mtl): which materials are see-through.
+//! Material libraries of OBJ files (.mtl), which determine the see-through materials.
 //!
 //! `d` below 1, `Tr` above 0 (without a `d`), a `map_d`, or one of the illumination models with transparency
 //! (4, 6, 7 and 9) makes a material see-through. All other statements are skipped.
@@ -8,29 +8,30 @@ use std::path::{Component, Path};
 
 use super::limits::read_file;
 use super::marks::{Mark, Marks};
-use crate::kinds::Kind;
+use crate::kinds::SurfaceKind;
 
-/// Most bytes of a library.
+/// Maximum size of a library in bytes.
 const MOST_BYTES: u64 = 64 << 20;
 
 /// The materials of the libraries read so far, by name.
 #[derive(Default)]
 pub(super) struct Materials {
     marks: BTreeMap<Vec<u8>, Mark>,
-    /// Whether any library was read.
+    /// True if any library was read.
     pub(super) any: bool,
 }
 
 impl Materials {
-    /// The mark of a material, if a library has it.
+    /// Returns the kind of a material and the reason for it, or `None` if no library contains the material.
     pub(super) fn get(&self, name: &[u8]) -> Option<&Mark> {
         self.marks.get(name)
     }
 
-    /// Reads the libraries that a `mtllib` statement names. A missing one is a warning that names it.
+    /// Reads the libraries that a `mtllib` statement names. For a missing library, adds a warning with the
+    /// name of the library to `marks`.
     pub(super) fn read(&mut self, base_dir: Option<&Path>, names: &[u8], marks: &mut Marks) {
         let text = String::from_utf8_lossy(names);
-        // A name may contain spaces, though the format separates several names by them.
+        // A name may contain spaces, although the format separates several names by spaces.
         let whole = base_dir.is_some_and(|dir| below(&text).is_some_and(|n| dir.join(n).is_file()));
         let each: Vec<&str> = if whole {
             vec![&text]
@@ -41,7 +42,7 @@ impl Materials {
             let shown: String = name.chars().take(200).collect();
             let missing = |marks: &mut Marks, why: &str| {
                 marks.warn(format!(
-                    "the material library {shown:?} {why}; its materials are taken as opaque"
+                    "the material library {shown:?} {why}; its materials count as opaque"
                 ));
             };
             let Some(dir) = base_dir else {
@@ -51,7 +52,7 @@ impl Materials {
             let Some(relative) = below(name) else {
                 missing(
                     marks,
-                    "is not read, because it is outside of the scene's folder",
+                    "is not read, because its path leads outside of the scene's folder",
                 );
                 continue;
             };
@@ -115,7 +116,7 @@ impl Materials {
     }
 }
 
-/// The statements of a material that decide its kind.
+/// The statements of a material that determine its kind.
 #[derive(Default)]
 struct MtlMaterial {
     name: Vec<u8>,
@@ -129,7 +130,7 @@ impl MtlMaterial {
     fn mark(&self) -> Mark {
         let reason = match (self.dissolve, self.transparency) {
             (Some(d), _) if d < 1.0 => Some("d"),
-            // Exporters disagree on what Tr 1 means; with d they give both.
+            // Exporters disagree on the meaning of Tr 1. An exporter that also writes d is unambiguous.
             (None, Some(t)) if t > 0.0 => Some("Tr"),
             _ if self.map => Some("map_d"),
             _ if self
@@ -140,11 +141,12 @@ impl MtlMaterial {
             }
             _ => None,
         };
-        reason.map_or(Mark::DEFAULT, |r| Mark::of(Kind::SeeThrough, r))
+        reason.map_or(Mark::DEFAULT, |r| Mark::new(SurfaceKind::SeeThrough, r))
     }
 }
 
-/// The path below the scene's folder; none if it leads elsewhere.
+/// Returns `name` as a path relative to the scene's folder, or `None` if the path leads outside of the
+/// folder.
 fn below(name: &str) -> Option<&Path> {
     let path = Path::new(name);
     let inside = path
@@ -158,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_statements_of_a_material_decide_its_kind() {
+    fn statements_of_material_determine_kind() {
         let text = "newmtl a\nKd 1 1 1\nd 0.5\nnewmtl b\nTr 0.3\nnewmtl c\nd 1.0\nTr 1.0\nillum 2\n\
                     newmtl d d\nmap_d -clamp on leaf.png\r\nnewmtl e\nillum 4 # glass\nnewmtl f\n\
                     d -halo 0.2\nnewmtl g\nd wrong\n";
@@ -168,14 +170,14 @@ mod tests {
             m.get(name.as_bytes())
                 .map(|k| (k.kind, k.reason.to_string()))
         };
-        let glass = |why: &str| Some((Kind::SeeThrough, why.to_owned()));
+        let glass = |why: &str| Some((SurfaceKind::SeeThrough, why.to_owned()));
         assert_eq!(reason("a"), glass("d"));
         assert_eq!(reason("b"), glass("Tr"));
-        assert_eq!(reason("c").unwrap().0, Kind::Opaque);
+        assert_eq!(reason("c").unwrap().0, SurfaceKind::Opaque);
         assert_eq!(reason("d d"), glass("map_d"));
         assert_eq!(reason("e"), glass("illum"));
         assert_eq!(reason("f"), glass("d"));
-        assert_eq!(reason("g").unwrap().0, Kind::Opaque);
+        assert_eq!(reason("g").unwrap().0, SurfaceKind::Opaque);
         assert_eq!(reason("h"), None);
     }
 }

@@ -1,15 +1,16 @@
-//! Unique object names: the first object of a name keeps it, later ones get `#2`, `#3`, … appended.
+//! Unique object names: the first object with a name keeps it, and later objects get `#2`, `#3`, … appended.
 
 use std::collections::BTreeMap;
 
-/// Names given so far, each with the number last appended to it.
+/// The names of all objects so far. Each name has the number that was last appended to it, or 1.
 #[derive(Default)]
-pub(super) struct Names {
+pub(super) struct UniqueNames {
     given: BTreeMap<String, u32>,
 }
 
-impl Names {
-    /// `wanted` itself if it is free, else `wanted#n` for the least free n not tried before.
+impl UniqueNames {
+    /// Returns `wanted` if no object has this name, otherwise `wanted#n` with the smallest n that makes the
+    /// name unique and was not tried before.
     pub(super) fn unique(&mut self, wanted: String) -> String {
         let Some(mut n) = self.given.get(&wanted).copied() else {
             self.given.insert(wanted.clone(), 1);
@@ -33,7 +34,7 @@ mod tests {
 
     #[test]
     fn repeated_names_are_numbered_around_taken_ones() {
-        let mut n = Names::default();
+        let mut n = UniqueNames::default();
         let got: Vec<_> = ["a", "a#2", "a", "a", "b"]
             .map(|s| n.unique(s.into()))
             .into();

@@ -1,42 +1,50 @@
 //! Wavefront OBJ: `v`, `f`, `o`, `g`, `mtllib` and `usemtl`; all other statements are skipped.
 //!
-//! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between
-//! two `o` or `g` statements is an object (an empty run is not). Free-form surfaces (`surf`) are refused, not
-//! dropped.
+//! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each non-empty run of faces
+//! between two `o` or `g` statements is an object. A file with free-form surfaces (`surf`) is rejected,
+//! because skipped surfaces would be missing.
 //!
-//! The parser is our own: the crate `tobj` gives errors without line numbers, splits objects where the
-//! material changes, and builds index arrays that are not needed here.
+//! This parser replaces the crate `tobj`, which returns errors without line numbers, splits objects where the
+//! material changes, and builds index arrays that the loader does not need.
 
 use std::path::Path;
 
 use glam::Vec3;
 
-use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_objects, too_many_triangles};
+use super::format::text_head;
+use super::limits::{
+    EXPORT_AGAIN, LoadLimits, REPAIR_VERTEX, too_many_objects, too_many_triangles,
+};
 use super::marks::{Mark, Marks};
 use super::mtl::Materials;
-use super::names::Names;
+use super::names::UniqueNames;
 use crate::{Object, Scene, SceneError, Triangle};
 
-/// A corner that names a vertex further down the file; filled in at the end.
+/// A corner of a face that refers to a vertex further down the file. The reader sets the position of the
+/// corner at the end of the file.
 struct Forward {
+    /// The id of the triangle.
     triangle: usize,
+    /// The corner of the triangle, 0 to 2.
     corner: usize,
+    /// The index of the vertex in the file, from 0.
     vertex: usize,
+    /// The number of the line with the face, from 1.
     line: usize,
 }
 
-/// The state of the reader.
+/// The state of the OBJ reader.
 struct ObjReader<'a> {
     file: &'a str,
-    limits: &'a Limits,
+    limits: &'a LoadLimits,
     vertices: Vec<Vec3>,
     triangles: Vec<Triangle>,
     objects: Vec<Object>,
     forward: Vec<Forward>,
-    names: Names,
+    names: UniqueNames,
     object: String,
     group: String,
-    /// Whether the next face opens a new object.
+    /// True if the next face opens a new object.
     opens: bool,
     /// The corners of the current face as vertex indices, from 0.
     face: Vec<usize>,
@@ -44,10 +52,25 @@ struct ObjReader<'a> {
     materials: Materials,
     marks: &'a mut Marks,
     material: Vec<u8>,
-    /// The mark of the current material.
+    /// The kind of the current material and the reason for it.
     mark: Mark,
-    /// Triangles since the object or the material last changed.
+    /// The number of triangles since the object or the material last changed.
     run: u32,
+}
+
+/// The first words of OBJ statements. A text counts as OBJ if a line near its start begins with such a word.
+const WORDS: &[&[u8]] = &[
+    b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"p", b"mtllib", b"usemtl",
+];
+
+/// Returns true if bytes are a text with an OBJ statement near its start.
+pub(super) fn has_signature(bytes: &[u8]) -> bool {
+    let is_statement = |line: &[u8]| {
+        let word = line.split(u8::is_ascii_whitespace).find(|w| !w.is_empty());
+        word.is_some_and(|w| WORDS.contains(&w))
+    };
+    text_head(bytes)
+        .is_some_and(|head| head.split(|b| *b == b'\n' || *b == b'\r').any(is_statement))
 }
 
 /// Reads an OBJ file.
@@ -55,7 +78,7 @@ pub(super) fn parse(
     file: &str,
     bytes: &[u8],
     base_dir: Option<&Path>,
-    limits: &Limits,
+    limits: &LoadLimits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
     let mut r = ObjReader {
@@ -65,7 +88,7 @@ pub(super) fn parse(
         triangles: Vec::new(),
         objects: Vec::new(),
         forward: Vec::new(),
-        names: Names::default(),
+        names: UniqueNames::default(),
         object: String::new(),
         group: String::new(),
         opens: true,
@@ -78,7 +101,7 @@ pub(super) fn parse(
         run: 0,
     };
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    // Very old exporters end lines with a carriage return alone.
+    // Very old exporters end lines with only a carriage return.
     let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
     let mut lines = bytes.split(|b| *b == end).enumerate();
     let mut joined = Vec::new();
@@ -87,7 +110,7 @@ pub(super) fn parse(
             r.statement(at + 1, line)?;
             continue;
         };
-        // A backslash at the end joins the next line to this one.
+        // A backslash at the end of a line joins the next line to this line.
         joined.clear();
         loop {
             joined.extend_from_slice(open);
@@ -106,14 +129,14 @@ pub(super) fn parse(
     r.finish()
 }
 
-/// The line without its continuation mark, if it has one.
+/// Returns the line without the backslash at its end, or `None` if no backslash continues the line.
 fn continued(line: &[u8]) -> Option<&[u8]> {
     line.trim_ascii_end()
         .strip_suffix(b"\\")
         .filter(|l| !l.contains(&b'#'))
 }
 
-/// The words of a statement, between white space.
+/// The words of a statement, separated by white space.
 struct Words<'a>(&'a [u8]);
 
 impl<'a> Iterator for Words<'a> {
@@ -131,7 +154,7 @@ impl<'a> Iterator for Words<'a> {
     }
 }
 
-/// A token of any bytes, shortened for a message.
+/// Formats a token of any bytes for a message, shortened to 40 bytes.
 fn show(token: &[u8]) -> String {
     String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned()
 }
@@ -183,12 +206,12 @@ impl ObjReader<'_> {
                 self.mark = self.materials.get(name).cloned().unwrap_or_else(|| {
                     self.marks.warn(match self.materials.any {
                         true => format!(
-                            "the material {:?} is in no library that was read; it is taken as opaque",
+                            "the material {:?} is in no library that was read; the material counts as opaque",
                             show(name)
                         ),
                         false => {
-                            "the scene uses materials, but no material library was read; all are taken as \
-                                  opaque"
+                            "the scene uses materials, but no material library was read; all materials \
+                             count as opaque"
                                 .to_owned()
                         }
                     });
@@ -198,7 +221,7 @@ impl ObjReader<'_> {
             }
             Some(b"surf") => Err(self.bad(
                 line,
-                "free-form surfaces are not triangles",
+                "free-form surfaces (surf) are not supported",
                 "tessellate the surfaces and export again",
             )),
             _ => Ok(()),
@@ -209,7 +232,11 @@ impl ObjReader<'_> {
         let mut p = [0.0f32; 3];
         for (axis, c) in ["x", "y", "z"].iter().zip(&mut p) {
             let Some(word) = words.next() else {
-                return Err(self.bad(line, format!("the vertex has no {axis}"), EXPORT_AGAIN));
+                return Err(self.bad(
+                    line,
+                    format!("the vertex has no {axis} coordinate"),
+                    EXPORT_AGAIN,
+                ));
             };
             *c = std::str::from_utf8(word)
                 .ok()
@@ -217,13 +244,13 @@ impl ObjReader<'_> {
                 .ok_or_else(|| {
                     self.bad(
                         line,
-                        format!("\"{}\" is not a number", show(word)),
+                        format!("the {axis} coordinate \"{}\" is not a number", show(word)),
                         EXPORT_AGAIN,
                     )
                 })?;
             if !c.is_finite() {
                 let what = format!(
-                    "vertex {}: its {axis}, {}, is not finite",
+                    "vertex {} (counted from 0): the {axis} coordinate {} is not finite",
                     self.vertices.len(),
                     show(word)
                 );
@@ -282,8 +309,8 @@ impl ObjReader<'_> {
         Ok(())
     }
 
-    /// The vertex, from 0, that a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1` names. It may lie
-    /// further down.
+    /// Returns the index, from 0, of the vertex to which a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1`
+    /// refers. The vertex may be further down the file.
     fn corner(&self, line: usize, word: &[u8]) -> Result<usize, SceneError> {
         let mut parts = word.split(|b| *b == b'/');
         let number = parts
@@ -295,21 +322,22 @@ impl ObjReader<'_> {
                 .flatten()
                 .all(|&b| b.is_ascii_digit() || matches!(b, b'-' | b'+'));
         let (Some(number), true) = (number, rest_ok) else {
-            let reason = format!("\"{}\" is not a corner of a face", show(word));
+            let reason = format!("\"{}\" is not a valid corner of a face", show(word));
             return Err(self.bad(line, reason, EXPORT_AGAIN));
         };
         let known = self.vertices.len();
         let index = match number {
             1.. => usize::try_from(number - 1).ok(),
             0 => None,
-            // Counted back from the last vertex read.
+            // Negative numbers count back from the last vertex read.
             _ => usize::try_from(number.unsigned_abs())
                 .ok()
                 .and_then(|back| known.checked_sub(back)),
         };
         index.ok_or_else(|| {
-            let reason =
-                format!("the face names vertex {number}, but {known} vertices are known there");
+            let reason = format!(
+                "the face refers to vertex {number}, but {known} vertices precede the face"
+            );
             self.bad(line, reason, EXPORT_AGAIN)
         })
     }
@@ -340,7 +368,7 @@ impl ObjReader<'_> {
         Ok(())
     }
 
-    /// Marks the triangles since the object or the material last changed.
+    /// Records the kind of the triangles since the object or the material last changed.
     fn end_run(&mut self) {
         if let (Some(object), 1..) = (self.objects.last(), self.run) {
             let material = String::from_utf8_lossy(&self.material);
@@ -350,7 +378,7 @@ impl ObjReader<'_> {
         self.run = 0;
     }
 
-    /// Sets the count of the last object to all triangles since its first.
+    /// Sets the number of triangles of the last object, which ends at the last triangle read.
     fn close_object(&mut self) {
         self.end_run();
         if let Some(last) = self.objects.last_mut() {
@@ -363,7 +391,7 @@ impl ObjReader<'_> {
         for f in &self.forward {
             let Some(p) = self.vertices.get(f.vertex) else {
                 let reason = format!(
-                    "the face names vertex {}, but the file has {}",
+                    "the face refers to vertex {}, but the file has {} vertices",
                     f.vertex as u64 + 1,
                     self.vertices.len()
                 );

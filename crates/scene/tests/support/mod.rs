@@ -1,10 +1,10 @@
-//! Small scene files made by hand, for all tests of the loaders.
+//! Small hand-written scene files for all tests of the loaders.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use serde_json::{Value, json};
 use sightline_scene::{Scene, SceneError, load_bytes};
 
-/// A glTF document under construction: one buffer, and views and accessors added to it.
+/// A glTF document under construction: one buffer, and the views and accessors in it.
 pub struct Gltf {
     pub json: Value,
     pub bin: Vec<u8>,
@@ -57,7 +57,7 @@ impl Gltf {
         self.accessor(&bytes, 5126, "VEC2", p.len())
     }
 
-    /// Indices of a component type: 5121, 5123 or 5125.
+    /// Adds indices of a component type: 5121, 5123 or 5125.
     pub fn indices(&mut self, component: u32, i: &[u32]) -> usize {
         let width = match component {
             5121 => 1,
@@ -88,7 +88,7 @@ impl Gltf {
     }
 }
 
-/// A GLB container.
+/// Creates a GLB container.
 pub fn glb(json: &[u8], bin: &[u8]) -> Vec<u8> {
     let (j, b) = (
         json.len().next_multiple_of(4),
@@ -111,7 +111,7 @@ pub fn glb(json: &[u8], bin: &[u8]) -> Vec<u8> {
 /// The corners of a unit square in the plane z = 0.
 pub const SQUARE: [[f32; 3]; 4] = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]];
 
-/// Two triangles by u16 indices.
+/// Creates two triangles with u16 indices.
 pub fn square() -> Gltf {
     let mut g = Gltf::default();
     let (p, i) = (g.positions(&SQUARE), g.indices(5123, &[0, 1, 2, 0, 2, 3]));
@@ -119,7 +119,8 @@ pub fn square() -> Gltf {
     g
 }
 
-/// A sparse, strided, transformed scene with a strip and a fan: something of everything for mutations.
+/// Creates a sparse, strided, transformed scene with a strip and a fan, so that mutations cover many
+/// features.
 pub fn rich() -> Gltf {
     let mut g = square();
     let (i, v) = (
@@ -161,7 +162,7 @@ pub fn compress(g: &mut Gltf, a: usize, packed: &[u8], mode: &str, filter: &str,
     g.json["extensionsRequired"] = json!(["EXT_meshopt_compression"]);
 }
 
-/// [`square`] with both views compressed.
+/// Creates [`square`] with both views compressed.
 pub fn packed_square() -> Gltf {
     use meshopt_rs::{index, vertex};
     let mut g = square();
@@ -176,14 +177,21 @@ pub fn packed_square() -> Gltf {
     g
 }
 
-/// A mesh of `faces` compressed with Draco: positions as attribute 0, and texture coordinates as
+/// A mesh compressed with Draco, with its numbers of points and faces.
+pub struct DracoMesh {
+    pub bytes: Vec<u8>,
+    pub points: usize,
+    pub faces: usize,
+}
+
+/// Compresses a mesh of `faces` with Draco: positions as attribute 0, and texture coordinates as
 /// attribute 1 if there are some. Returns the bytes and the numbers of points and faces.
 pub fn draco(
     positions: &[[f32; 3]],
     uvs: &[[f32; 2]],
     faces: &[[u32; 3]],
     options: &draco_core::EncoderOptions,
-) -> (Vec<u8>, usize, usize) {
+) -> DracoMesh {
     use draco_core::{
         DataType, EncoderBuffer, GeometryAttributeType, Mesh, MeshEncoder, PointAttribute,
     };
@@ -209,33 +217,32 @@ pub fn draco(
     draco_core::MeshDecoder::new()
         .decode(&mut buffer, &mut read)
         .unwrap();
-    (out.data().to_vec(), read.num_points(), read.num_faces())
+    DracoMesh {
+        bytes: out.data().to_vec(),
+        points: read.num_points(),
+        faces: read.num_faces(),
+    }
 }
 
-/// Replaces the data of a primitive of mesh 0 by compressed data with these numbers of points and faces.
-pub fn compress_primitive(
-    g: &mut Gltf,
-    p: usize,
-    (bytes, points, faces): &(Vec<u8>, usize, usize),
-    attributes: Value,
-) {
-    let view = g.view(bytes);
+/// Replaces the data of a primitive of mesh 0 by compressed data.
+pub fn compress_primitive(g: &mut Gltf, p: usize, packed: &DracoMesh, attributes: Value) {
+    let view = g.view(&packed.bytes);
     let primitive = g.json["meshes"][0]["primitives"][p].clone();
     let mut change = |accessor: &Value, count: usize| {
         let accessor = &mut g.json["accessors"][accessor.as_u64().unwrap() as usize];
         accessor.as_object_mut().unwrap().remove("bufferView");
         accessor["count"] = json!(count);
     };
-    change(&primitive["indices"], faces * 3);
+    change(&primitive["indices"], packed.faces * 3);
     for name in attributes.as_object().unwrap().keys() {
-        change(&primitive["attributes"][name], *points);
+        change(&primitive["attributes"][name], packed.points);
     }
     g.json["meshes"][0]["primitives"][p]["extensions"] =
         json!({"KHR_draco_mesh_compression": {"bufferView": view, "attributes": attributes}});
     g.json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
 }
 
-/// [`square`] compressed with Draco.
+/// Creates [`square`] compressed with Draco.
 pub fn draco_square() -> Gltf {
     let mut g = square();
     let packed = draco(
@@ -248,17 +255,17 @@ pub fn draco_square() -> Gltf {
     g
 }
 
-/// An OBJ with groups, negative indices, an n-gon, a continuation and a forward reference.
+/// An OBJ file with groups, negative indices, an n-gon, a continuation and a forward reference.
 pub const OBJ: &str = "# a comment\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0\no house\ng wall\nf 1/1/1 2/2/2 3//3\n\
     g roof\nv 0 1 0\nf -4 -3 \\\n -2 -1\nf 1 2 5\nv 5e0 .5 -1.25E-1\nusemtl x\nl 1 2\n";
 
-/// An ascii PLY: a property to step over, a list to step over, a quad and a triangle.
+/// An ascii PLY file with a skipped property, a skipped list, a quad and a triangle.
 pub const PLY: &str = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\nproperty float x\n\
     property uchar red\nproperty float y\nproperty double z\nelement extra 1\nproperty list uchar int n\n\
     element face 2\nproperty list uchar int vertex_indices\nproperty float w\nend_header\n\
     0 9 0 0\n1 9 0 0\n1 9 1 0\n0 9 1 0\n2 7 8\n4 0 1 2 3 0.5\n3 2 1 0 1\n";
 
-/// A binary PLY of either byte order with two triangles; the last index is `last`.
+/// Creates a binary PLY of either byte order with two triangles. The last index is `last`.
 pub fn binary_ply(big: bool, vertices: &[[f32; 3]], last: i32) -> Vec<u8> {
     let order = if big { "big" } else { "little" };
     let mut out = format!(
@@ -277,7 +284,7 @@ pub fn binary_ply(big: bool, vertices: &[[f32; 3]], last: i32) -> Vec<u8> {
     out
 }
 
-/// The vertices of all triangles as plain arrays.
+/// Returns the vertices of all triangles as plain arrays.
 pub fn soup(s: &Scene) -> Vec<[[f32; 3]; 3]> {
     s.triangles()
         .iter()
@@ -285,12 +292,12 @@ pub fn soup(s: &Scene) -> Vec<[[f32; 3]; 3]> {
         .collect()
 }
 
-/// The triangles of `points` by their indices.
+/// Returns the triangles of `points` by their indices.
 pub fn by_index(points: &[[f32; 3]], t: &[[usize; 3]]) -> Vec<[[f32; 3]; 3]> {
     t.iter().map(|t| t.map(|i| points[i])).collect()
 }
 
-/// A PNG file of black texels with these alphas.
+/// Creates a PNG file of black texels with these alphas.
 pub fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
@@ -304,8 +311,8 @@ pub fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A unit square with a texture of 4 × 2 texels, of which `open` have no alpha; v points down as in glTF.
-/// `change` sees the document.
+/// Creates a unit square with a texture of 4 × 2 texels. The texels in `open` have no alpha, and v points
+/// down as in glTF. `change` edits the document.
 pub fn card(open: &[usize], change: impl FnOnce(&mut Gltf)) -> Gltf {
     let mut g = square();
     let uv = g.pairs(&[[0., 1.], [1., 1.], [1., 0.], [0., 0.]]);

@@ -1,53 +1,58 @@
-//! One tetrahedron, cut by the planes of the triangles that pass through its inside.
+//! The cuts of one tetrahedron by the planes of the triangles that pass through its inside.
 //!
-//! A triangle goes down a tree of cuts in pieces: a cut divides a piece, or the piece lies in the cut and is
-//! noted there, or it reaches a part that it passes through the inside of, which its plane then cuts. So no
-//! part is cut that a triangle does not pass through. This is the tree of Fuchs, Kedem and Naylor, "On
-//! Visible Surface Generation by A Priori Tree Structures", 1980, within one tetrahedron.
+//! The cuts form a tree, whose leaves are the parts of the tetrahedron. A triangle descends the tree in
+//! pieces. A cut divides a piece, or the cut records the triangle of a piece that lies in the cut. A piece
+//! that reaches a part and passes through the inside of the part adds a cut: the triangle's plane cuts the
+//! part. So only triangles that pass through a part cut the part. This is the tree of Fuchs, Kedem and
+//! Naylor, "On Visible Surface Generation by A Priori Tree Structures", 1980, within one tetrahedron.
 
-use super::local::Local;
+use super::local::LocalGeometry;
 use super::planes::NONE;
 use super::polygon::{Corners, Polygon, Split, part, split};
 
-/// A child with this bit is a part, its number in the bits below.
+/// Bit that marks a child of a cut as a part. The lower bits are the number of the part.
 pub const LEAF: u32 = 1 << 31;
 
-/// A cut.
+/// A cut of a tetrahedron by a plane.
 #[derive(Clone, Copy, Debug)]
 pub struct Cut {
-    /// The number of its plane.
+    /// The global number of the plane.
     pub plane: u32,
-    /// What is in front of it and behind it: another cut, or [`LEAF`] and a part.
+    /// The children in front of the cut and behind the cut.
+    ///
+    /// A child is the index of another cut, or the number of a part with the bit [`LEAF`].
     pub children: [u32; 2],
-    /// The cut that it is in a part of, and on which side (0 in front, 1 behind); `NONE` for the first.
+    /// The index of the parent cut, and the side of the parent on which this cut is: 0 in front, 1 behind.
+    ///
+    /// The parent of the first cut is `NONE`.
     pub parent: (u32, u8),
 }
 
-/// A tetrahedron's cuts, and its parts in the order of the tree, front before back.
+/// The cuts of a tetrahedron. The numbers of parts follow the order of the tree, front before back.
 #[derive(Clone, Debug, Default)]
 pub struct Cuts {
     /// The cuts; the first is the root.
     pub cuts: Vec<Cut>,
-    /// Cuts and the triangles that lie in them, ascending.
+    /// Pairs of the index of a cut and the id of a triangle that lies in the cut, ascending.
     pub triangles: Vec<(u32, u32)>,
 }
 
-/// A triangle on its way into a tetrahedron, with numbers of planes of its own and through its edges.
+/// A triangle that cuts tetrahedra, with the global numbers of its planes.
 #[derive(Clone, Copy)]
 pub struct Cutter {
-    /// Its id.
+    /// The id of the triangle.
     pub id: u32,
-    /// Its corners.
+    /// The corners of the triangle, as point numbers.
     pub corners: [u32; 3],
-    /// The number of its plane.
+    /// The number of the triangle's plane.
     pub plane: u32,
     /// The numbers of the planes through the edges from each corner to the next.
     pub edges: [u32; 3],
 }
 
 impl Cutter {
-    /// The triangle as a polygon.
-    pub fn polygon(&self, local: &mut Local<'_>) -> Polygon {
+    /// Returns the triangle as a polygon with local numbers.
+    pub fn polygon(&self, local: &mut LocalGeometry<'_>) -> Polygon {
         let plane = local.plane(self.plane, &self.corners);
         let c = self.corners;
         let loops = (0..3)
@@ -61,8 +66,9 @@ impl Cutter {
         Polygon { plane, loops }
     }
 
-    /// The planes through its edges, each with the side on which the triangle is.
-    pub fn sides(&self, local: &mut Local<'_>) -> [(u32, i8); 3] {
+    /// Returns the local numbers of the planes through the triangle's edges, each with the side on which the
+    /// triangle is: 1 in front, −1 behind.
+    pub fn sides(&self, local: &mut LocalGeometry<'_>) -> [(u32, i8); 3] {
         let c = self.corners;
         std::array::from_fn(|i| {
             let edge = local.plane(self.edges[i], &[c[i], c[(i + 1) % 3]]);
@@ -73,15 +79,16 @@ impl Cutter {
 }
 
 impl Cuts {
-    /// The number of parts.
+    /// Returns the number of parts, which is the number of cuts plus one.
     pub fn parts(&self) -> u32 {
         self.cuts.len() as u32 + 1
     }
 
-    /// Cuts a tetrahedron by triangles in the given order. Triangles that do not pass through its inside do
-    /// nothing.
+    /// Cuts a tetrahedron by triangles in the given order.
+    ///
+    /// Triangles that do not pass through the tetrahedron's inside add no cuts.
     pub fn new(
-        local: &mut Local<'_>,
+        local: &mut LocalGeometry<'_>,
         tetrahedron: Corners,
         cutters: impl Iterator<Item = Cutter>,
     ) -> Self {
@@ -104,7 +111,7 @@ impl Cuts {
         tree
     }
 
-    fn insert(&mut self, local: &mut Local<'_>, piece: Polygon, id: u32) {
+    fn insert(&mut self, local: &mut LocalGeometry<'_>, piece: Polygon, id: u32) {
         let plane = local.number(piece.plane);
         if self.cuts.is_empty() {
             self.cut(plane, (NONE, 0), id);
@@ -142,7 +149,7 @@ impl Cuts {
         new
     }
 
-    /// Numbers the parts: what is in front of a cut before what is behind it.
+    /// Numbers the parts. Parts in front of a cut are numbered before parts behind the cut.
     fn number_parts(&mut self) {
         let mut parts = 0;
         let mut todo = if self.cuts.is_empty() {
@@ -162,7 +169,7 @@ impl Cuts {
         }
     }
 
-    /// The triangles that lie in a cut.
+    /// Returns the pairs of [`Self::triangles`] for the cut with this index.
     pub fn triangles_in(&self, cut: u32) -> &[(u32, u32)] {
         let first = self.triangles.partition_point(|(c, _)| *c < cut);
         let count = self.triangles[first..].partition_point(|(c, _)| *c == cut);

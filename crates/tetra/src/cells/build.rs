@@ -1,5 +1,7 @@
-//! From tetrahedra to cells: finds what triangles meet, numbers planes, cuts, divides faces, and gathers all
-//! in the order of the tetrahedra.
+//! Construction of cells from tetrahedra.
+//!
+//! The construction finds the tetrahedra that triangles touch, numbers planes, cuts tetrahedra and divides
+//! faces. Then the construction collects the results in the order of the tetrahedra.
 
 use std::hash::BuildHasher as _;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,53 +12,56 @@ use rayon::prelude::*;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use super::bsp::{Cuts, Cutter};
-use super::facets::{Faces, Parts, of_cuts, of_face};
+use super::facets::{Faces, TetrahedronCells, of_cuts, of_face};
 use super::flood::{Meetings, TrianglePlanes, meetings};
 use super::input::{CellsError, Tetrahedra, face};
-use super::local::{Decisions, Local, World};
+use super::local::{Decisions, LocalGeometry, SharedGeometry};
 use super::planes::{NONE, Plane, PlaneTable};
 use super::polygon::{Corners, Polygon, reverse};
-use super::result::{Cells, Counts, FaceRecord};
+use super::result::{CellCounts, Cells, FaceRecord};
 use crate::surfaces::Surfaces;
-use crate::watch::{Stage, Watch};
+use crate::watch::{BuildObserver, BuildStage};
 
-/// Memory that a tetrahedron takes with its faces, and that every triangle adds that passes through one: the
-/// peak of whole runs of `sightline tetra --json` on scenes of 12 231 to 147 829 triangles, which took 489
-/// and 176 beside each other, with some to spare.
+/// Expected memory per tetrahedron with its faces, in bytes.
+///
+/// The value is the peak of whole runs of `sightline tetra --json` on scenes of 12 231 to 147 829 triangles,
+/// which was 489 bytes, plus a margin.
 const BYTES_A_TETRAHEDRON: u64 = 550;
+/// Expected memory per pair of a tetrahedron and a crossing triangle, in bytes. The peak of the same runs was
+/// 176 bytes.
 const BYTES_A_MEETING: u64 = 220;
 
-/// Tetrahedra whose faces are made before they are gathered.
+/// Number of tetrahedra whose faces are computed in parallel before one thread collects the faces.
 const BATCH: usize = 1 << 14;
 
-/// The convex cells of a box between the surfaces' triangles.
+/// Computes the convex cells of a box between the triangles of the surfaces.
 ///
 /// # Errors
-/// [`CellsError`] for tetrahedra that are not of these surfaces or do not fill the box face to face, and
-/// where 32 bits do not number the result.
+/// [`CellsError`] if the tetrahedra do not belong to these surfaces or do not fill the box face to face, if
+/// 32-bit indices cannot number the cells, faces or vertices, or if the observer rejects the memory use.
 pub fn cells(
     surfaces: &Surfaces,
     all: &Tetrahedra<'_>,
-    watch: &dyn Watch,
-) -> Result<(Cells, Counts), CellsError> {
+    watch: &dyn BuildObserver,
+) -> Result<(Cells, CellCounts), CellsError> {
     all.check(surfaces)?;
     let meetings = meetings(surfaces, all)?;
     let bytes = all.tetrahedra.len() as u64 * BYTES_A_TETRAHEDRON
         + meetings.inside.len() as u64 * BYTES_A_MEETING;
     watch.needs(bytes).map_err(CellsError::Memory)?;
-    let mut numbers = Numbers::new(surfaces, all, &meetings);
+    let mut numbers = PlaneNumbers::new(surfaces, all, &meetings);
     let table = std::mem::take(&mut numbers.table);
-    let work = Work {
+    let work = CellBuild {
         surfaces,
         all,
         meetings: &meetings,
         numbers: &numbers,
         watch,
     };
-    let world = World::new(all.points, &table.planes);
-    let mut counts = Counts {
+    let world = SharedGeometry::new(all.points, &table.planes);
+    let mut counts = CellCounts {
         whole: distinct(&meetings.whole),
-        ..Counts::default()
+        ..CellCounts::default()
     };
     counts.meetings = meetings.inside.len() as u64;
     let cuts = work.cut(&world, &mut counts.decisions);
@@ -86,7 +91,7 @@ fn distinct(whole: &[(u32, u32)]) -> u32 {
     ids.len() as u32
 }
 
-/// The number of each tetrahedron's first cell, and of the one after the last.
+/// Returns the number of each tetrahedron's first cell, and at the end the number of all cells.
 fn first_cells(all: &Tetrahedra<'_>, cuts: &[(u32, Cuts)]) -> Result<Vec<u32>, CellsError> {
     let mut first = vec![1u64; all.tetrahedra.len() + 1];
     cuts.iter()
@@ -106,16 +111,16 @@ fn first_cells(all: &Tetrahedra<'_>, cuts: &[(u32, Cuts)]) -> Result<Vec<u32>, C
         .collect()
 }
 
-/// The numbers of the planes that are compared with others.
-struct Numbers {
+/// The global numbers of the planes that the construction compares with other planes.
+struct PlaneNumbers {
     table: PlaneTable,
-    /// By triangle: its plane and those through its edges.
+    /// For each triangle id, the numbers of the triangle's plane and of the planes through its edges.
     triangles: FxHashMap<u32, [u32; 4]>,
-    /// By face.
+    /// For each number of a tetrahedron's face, the number of the face's plane.
     faces: FxHashMap<u32, u32>,
 }
 
-impl Numbers {
+impl PlaneNumbers {
     fn new(surfaces: &Surfaces, all: &Tetrahedra<'_>, meetings: &Meetings) -> Self {
         let mut ids: Vec<u32> = meetings.inside.iter().map(|(_, id)| *id).collect();
         ids.extend(meetings.within.iter().map(|(_, id)| *id));
@@ -128,7 +133,7 @@ impl Numbers {
             cut.iter()
                 .flat_map(|t| (0..4).map(|k| all.number_of_face(*t, k))),
         );
-        // The edges of a divided face lie in the other faces of the tetrahedron that it is divided in.
+        // The edges of a divided face lie in the other faces of the tetrahedron with this face.
         let beside: Vec<u32> = faces
             .par_iter()
             .flat_map_iter(|f| (0..4).map(move |k| all.number_of_face(f / 4, k)))
@@ -154,7 +159,8 @@ impl Numbers {
             .collect();
         let mut table = PlaneTable::default();
         let mut number = |(plane, name)| table.number(plane, name, points);
-        // Planes of triangles first: those of faces that are equal then have a triangle's three points.
+        // The planes of triangles are numbered first. So a face plane that equals a triangle's plane is
+        // defined by the three points of the triangle.
         let own: Vec<u32> = of_triangles
             .iter()
             .map(|planes| number(planes[0]))
@@ -187,15 +193,15 @@ impl Numbers {
     }
 }
 
-struct Work<'a> {
+struct CellBuild<'a> {
     surfaces: &'a Surfaces,
     all: &'a Tetrahedra<'a>,
     meetings: &'a Meetings,
-    numbers: &'a Numbers,
-    watch: &'a dyn Watch,
+    numbers: &'a PlaneNumbers,
+    watch: &'a dyn BuildObserver,
 }
 
-impl Work<'_> {
+impl CellBuild<'_> {
     fn cutter(&self, id: u32) -> Cutter {
         let [plane, a, b, c] = self
             .numbers
@@ -211,8 +217,9 @@ impl Work<'_> {
         }
     }
 
-    /// The corners of a tetrahedron all of whose faces have numbered planes.
-    fn corners(&self, local: &mut Local<'_>, t: u32) -> Corners {
+    /// Returns the corners of tetrahedron `t` and the local planes of its faces. All its faces must have
+    /// numbered planes.
+    fn corners(&self, local: &mut LocalGeometry<'_>, t: u32) -> Corners {
         let points = self.all.tetrahedra[t as usize];
         let faces = std::array::from_fn(|k| {
             let number = self
@@ -226,8 +233,9 @@ impl Work<'_> {
         Corners { points, faces }
     }
 
-    /// Cuts all tetrahedra that triangles pass through.
-    fn cut(&self, world: &World<'_>, decisions: &mut Decisions) -> Vec<(u32, Cuts)> {
+    /// Cuts all tetrahedra through which triangles pass. Returns the number of each such tetrahedron with its
+    /// cuts.
+    fn cut(&self, world: &SharedGeometry<'_>, decisions: &mut Decisions) -> Vec<(u32, Cuts)> {
         let groups: Vec<&[(u32, u32)]> = self.meetings.inside.chunk_by(|a, b| a.0 == b.0).collect();
         let done = AtomicU64::new(0);
         let cut: Vec<(u32, Cuts, Decisions)> = groups
@@ -235,10 +243,10 @@ impl Work<'_> {
             .map(|group| {
                 let done = done.fetch_add(1, Ordering::Relaxed);
                 if done.is_multiple_of(BATCH as u64) {
-                    self.watch.done(Stage::Cut, done, groups.len() as u64);
+                    self.watch.done(BuildStage::Cut, done, groups.len() as u64);
                 }
                 let t = group[0].0;
-                let mut local = Local::new(world, self.all.tetrahedra[t as usize][0]);
+                let mut local = LocalGeometry::new(world, self.all.tetrahedra[t as usize][0]);
                 let corners = self.corners(&mut local, t);
                 let cutters = group.iter().map(|(_, id)| self.cutter(*id));
                 let cuts = Cuts::new(&mut local, corners, cutters);
@@ -249,10 +257,10 @@ impl Work<'_> {
         cut.into_iter().map(|(t, cuts, _)| (t, cuts)).collect()
     }
 
-    /// Makes the faces of all tetrahedra and gathers them.
+    /// Computes the faces of all tetrahedra, and collects the faces in `cells`.
     fn gather(
         &self,
-        world: &World<'_>,
+        world: &SharedGeometry<'_>,
         cuts: &[(u32, Cuts)],
         first_cells: &[u32],
         cells: &mut Cells,
@@ -266,22 +274,22 @@ impl Work<'_> {
             }
         }
         let parts = |t: u32| match of_tetrahedron.get(t as usize) {
-            None => Parts {
+            None => TetrahedronCells {
                 cuts: None,
                 first_cell: NONE,
             },
-            Some(i) => Parts {
+            Some(i) => TetrahedronCells {
                 cuts: cuts.get(*i as usize).map(|(_, c)| c),
                 first_cell: first_cells[t as usize],
             },
         };
-        let mut gathered = Gathered {
+        let mut gathered = GatheredFaces {
             cells,
             numbers: HashTable::new(),
             points: self.all.points.len(),
         };
         for start in (0..n).step_by(BATCH) {
-            self.watch.done(Stage::Faces, start as u64, n as u64);
+            self.watch.done(BuildStage::Faces, start as u64, n as u64);
             let batch: Vec<Vec<(u32, Faces, Decisions)>> = (start..(start + BATCH).min(n))
                 .into_par_iter()
                 .chunks(256)
@@ -302,15 +310,18 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// The faces in the cuts of a tetrahedron and in those of its faces that have its number.
+    /// Computes the faces of cells that belong to tetrahedron `t`.
+    ///
+    /// These are the faces in the tetrahedron's cuts, and in each face of the tetrahedron whose number is
+    /// counted from `t`, not from the neighbour.
     fn faces<'p>(
         &self,
-        world: &World<'_>,
+        world: &SharedGeometry<'_>,
         t: u32,
-        parts: &impl Fn(u32) -> Parts<'p>,
+        parts: &impl Fn(u32) -> TetrahedronCells<'p>,
     ) -> Result<(u32, Faces, Decisions), CellsError> {
         let points = self.all.tetrahedra[t as usize];
-        let mut local = Local::new(world, points[0]);
+        let mut local = LocalGeometry::new(world, points[0]);
         let mut out = Faces::default();
         let own = parts(t);
         let cutter = |id: u32| self.cutter(id);
@@ -320,7 +331,7 @@ impl Work<'_> {
             if !of_cuts(&mut local, corners, own, &cutter, &mut out) {
                 return Err(CellsError::NotConforming {
                     tetrahedron: t,
-                    what: "a cut outside of it",
+                    what: "has a cut outside of itself",
                 });
             }
         }
@@ -358,16 +369,23 @@ impl Work<'_> {
         Ok((t, out, local.decisions))
     }
 
-    /// Tells the local planes which points of the input the triangles in a tetrahedron's cuts have on them.
-    fn know(&self, local: &mut Local<'_>, parts: Parts<'_>) {
+    /// Records in the local planes the points of the triangles in a tetrahedron's cuts.
+    fn know(&self, local: &mut LocalGeometry<'_>, parts: TetrahedronCells<'_>) {
         for (_, id) in parts.cuts.iter().flat_map(|c| &c.triangles) {
             let cutter = self.cutter(*id);
             cutter.polygon(local);
         }
     }
 
-    /// A face of a tetrahedron, counter-clockwise as seen from in front of its plane.
-    fn face_polygon(&self, local: &mut Local<'_>, t: u32, k: usize, is_front: bool) -> Polygon {
+    /// Returns the face opposite corner `k` of tetrahedron `t`, counter-clockwise as seen from in front of
+    /// the face's plane. `is_front` is true if corner `k` is in front of the plane.
+    fn face_polygon(
+        &self,
+        local: &mut LocalGeometry<'_>,
+        t: u32,
+        k: usize,
+        is_front: bool,
+    ) -> Polygon {
         let points = self.all.tetrahedra[t as usize];
         let corners = face(points, k);
         let number = |k: usize| {
@@ -384,7 +402,7 @@ impl Work<'_> {
             let edge = number(apart).map(|n| local.plane(n, &face(points, apart)));
             loops.push((local.point(a), edge.unwrap_or(NONE)));
         }
-        // The corners turn counter-clockwise as seen from the fourth, or not.
+        // `is_left` is true if the corners turn counter-clockwise as seen from corner `k`.
         let is_left = Plane(corners).side_of(self.all.points, points[k]).is_gt();
         if is_left != is_front {
             reverse(&mut loops);
@@ -392,7 +410,7 @@ impl Work<'_> {
         Polygon { plane, loops }
     }
 
-    /// Numbers the planes of faces that no decision compared with others.
+    /// Adds the planes of faces without a plane number, which no decision compared with other planes.
     fn raw_planes(&self, cells: &mut Cells) {
         for i in 0..cells.faces.len() {
             if cells.faces[i].plane == NONE {
@@ -406,7 +424,7 @@ impl Work<'_> {
     }
 }
 
-/// The entries of a sorted list with a number.
+/// Returns the pairs of a sorted list whose first entry is `number`.
 fn range(list: &[(u32, u32)], number: u32) -> &[(u32, u32)] {
     let first = list.partition_point(|(n, _)| *n < number);
     let count = list[first..]
@@ -416,15 +434,18 @@ fn range(list: &[(u32, u32)], number: u32) -> &[(u32, u32)] {
     &list[first..first + count]
 }
 
-/// Faces under global numbers.
-struct Gathered<'a> {
+/// The collector of the faces of all tetrahedra in one list with global vertex numbers.
+struct GatheredFaces<'a> {
     cells: &'a mut Cells,
-    /// Places in the list of meets, by the meets' planes, which are in that list alone.
+    /// The indices of the entries of `cells.meets`, hashed by the planes of these entries.
+    ///
+    /// Only `cells.meets` stores the planes.
     numbers: HashTable<u32>,
+    /// The number of points.
     points: usize,
 }
 
-impl Gathered<'_> {
+impl GatheredFaces<'_> {
     fn add(&mut self, faces: &Faces) -> Result<(), CellsError> {
         let mut vertices = Vec::with_capacity(faces.keys.len());
         for (key, rounded) in faces.keys.iter().zip(&faces.rounded) {
@@ -475,7 +496,7 @@ impl Gathered<'_> {
                 .extend(&faces.triangles[triangle_at..triangles_end]);
             (loop_at, triangle_at) = (loop_end, triangles_end);
         }
-        // Every count fits before the next tetrahedron adds to it.
+        // Every count fits before the faces of the next tetrahedron are added.
         let most = cells
             .loops
             .len()

@@ -1,54 +1,66 @@
-//! The faces between cells: facets of cuts and of tetrahedra, divided until each has one cell on either side
-//! and is covered wholly or not at all by each triangle.
+//! The faces between cells.
+//!
+//! A facet is the part of a cut's plane inside the cut part of a tetrahedron, or a face of a tetrahedron.
+//! This module divides facets into faces, so that each face has one cell on either side, and each triangle
+//! covers the whole face or no part of it.
 
 use super::bsp::{Cuts, Cutter, LEAF};
-use super::local::{Key, Local};
+use super::local::{LocalGeometry, VertexKey};
 use super::planes::NONE;
 use super::polygon::{Corners, Polygon, Split, part, section, split};
 
 /// The cells of a tetrahedron: its cuts, and the number of its first cell.
 #[derive(Clone, Copy)]
-pub struct Parts<'a> {
-    /// Its cuts; `None` where it has none.
+pub struct TetrahedronCells<'a> {
+    /// The cuts of the tetrahedron; `None` if it has no cuts.
     pub cuts: Option<&'a Cuts>,
-    /// Its first cell; `NONE` outside of the box.
+    /// The number of the tetrahedron's first cell; `NONE` outside of the box.
     pub first_cell: u32,
 }
 
-/// Faces with vertices of their own numbering.
+/// The faces of one tetrahedron. A vertex is an index into `keys`.
 #[derive(Debug, Default)]
 pub struct Faces {
-    /// The vertices' keys.
-    pub keys: Vec<Key>,
-    /// The vertices in doubles.
+    /// The keys of the vertices.
+    pub keys: Vec<VertexKey>,
+    /// The positions of the vertices in doubles.
     pub rounded: Vec<[f64; 3]>,
-    /// The faces.
+    /// The list of faces.
     pub faces: Vec<Face>,
-    /// The loops of the faces, one after another, as indices into the keys.
+    /// The loops of the faces, one after another, as indices into `keys`.
     pub loops: Vec<u32>,
-    /// The triangles of the faces, one after another.
+    /// The ids of the triangles that cover the faces, one face after another.
     pub triangles: Vec<u32>,
-    /// The index of each local vertex, `NONE` where it has none yet.
+    /// For each vertex number of a [`LocalGeometry`], the index into `keys`, or `NONE` if the vertex has
+    /// none.
     index_of: Vec<u32>,
 }
 
-/// A face.
+/// A face in a list of [`Faces`].
 #[derive(Clone, Copy, Debug)]
 pub struct Face {
-    /// The number of its plane.
+    /// The global number of the face's plane, or `NONE` if no decision used the plane.
     pub plane: u32,
-    /// The cells in front and behind.
+    /// The numbers of the cells in front of the plane and behind the plane.
     pub cells: [u32; 2],
-    /// The end of its loop, which turns counter-clockwise as seen from the front.
+    /// The end of the face's loop in [`Faces::loops`]. The loop turns counter-clockwise as seen from the
+    /// front.
     pub loop_end: u32,
-    /// The end of its triangles, which ascend.
+    /// The end of the face's triangles in [`Faces::triangles`]. Their ids ascend.
     pub triangles_end: u32,
 }
 
 impl Faces {
-    /// Adds a face of a tetrahedron between cells that are not cut. Its plane is left open: it is that of the
-    /// first three vertices of its loop.
-    pub fn plain(&mut self, corners: [u32; 3], sides: [Parts<'_>; 2], whole: &[(u32, u32)]) {
+    /// Adds a face of a tetrahedron between two tetrahedra without cuts. `whole` lists the triangles that
+    /// equal the face.
+    ///
+    /// The number of the plane is `NONE`. The first three vertices of the loop define the plane.
+    pub fn plain(
+        &mut self,
+        corners: [u32; 3],
+        sides: [TetrahedronCells<'_>; 2],
+        whole: &[(u32, u32)],
+    ) {
         for corner in corners {
             self.loops.push(self.keys.len() as u32);
             self.keys.push(super::local::point_key(corner));
@@ -64,19 +76,23 @@ impl Faces {
     }
 }
 
-/// A piece of a facet on its way: the polygon, the cells found so far and the triangles that cover it.
+/// A piece of a facet that is being divided.
 struct FacetPiece {
     polygon: Polygon,
+    /// The numbers of the cells in front and behind that are known so far; otherwise `NONE`.
     cells: [u32; 2],
+    /// The ids of the triangles that cover the piece, ascending.
     triangles: Vec<u32>,
 }
 
-/// Adds the faces in the cuts of a tetrahedron, in the order of the cuts. False where a cut has no section,
-/// which exact decisions exclude.
+/// Adds the faces in the cuts of a tetrahedron to `out`, in the order of the cuts. `cutter` returns the
+/// triangle with an id.
+///
+/// Returns false if the plane of a cut does not pass through the tetrahedron, which exact decisions exclude.
 pub fn of_cuts(
-    local: &mut Local<'_>,
+    local: &mut LocalGeometry<'_>,
     corners: Corners,
-    parts: Parts<'_>,
+    parts: TetrahedronCells<'_>,
     cutter: &impl Fn(u32) -> Cutter,
     out: &mut Faces,
 ) -> bool {
@@ -107,11 +123,15 @@ pub fn of_cuts(
     true
 }
 
-/// Adds the faces in a face of a tetrahedron, given counter-clockwise as seen from in front of its plane.
+/// Adds the faces in a face of a tetrahedron to `out`.
+///
+/// The polygon must turn counter-clockwise as seen from in front of its plane. `sides` are the cells in front
+/// and behind, `whole` lists the triangles that equal the face, and `within` are other triangles in its
+/// plane.
 pub fn of_face(
-    local: &mut Local<'_>,
+    local: &mut LocalGeometry<'_>,
     polygon: Polygon,
-    sides: [Parts<'_>; 2],
+    sides: [TetrahedronCells<'_>; 2],
     whole: &[(u32, u32)],
     within: impl Iterator<Item = Cutter>,
     out: &mut Faces,
@@ -135,10 +155,11 @@ pub fn of_face(
     push(local, pieces, out);
 }
 
-/// Divides pieces by the cuts below a node, and notes the cell that each is at on one side.
+/// Divides pieces by the cuts of a tetrahedron below `node`, and records the cell of each piece on one side:
+/// 0 in front, 1 behind.
 fn down(
-    local: &mut Local<'_>,
-    parts: Parts<'_>,
+    local: &mut LocalGeometry<'_>,
+    parts: TetrahedronCells<'_>,
     node: u32,
     side: usize,
     pieces: Vec<FacetPiece>,
@@ -160,7 +181,7 @@ fn down(
             }
         };
         let by = local.plane(cut.plane, &[]);
-        // No cut passes along the border of what it cuts, so the plane is another than the piece's.
+        // No cut contains a facet of the part that it cuts, so the plane differs from the plane of the piece.
         if let Split::Parts(front, back) = split(local, piece.polygon, by) {
             for (child, polygon) in cut.children.into_iter().zip([front, back]).rev() {
                 if let Some(polygon) = polygon {
@@ -180,9 +201,15 @@ fn down(
     done
 }
 
-/// Divides pieces along the edges of a triangle in their plane, where the triangle covers a part of them, and
-/// notes what it covers.
-fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<FacetPiece>) -> Vec<FacetPiece> {
+/// Divides pieces along the edges of a triangle in their plane, and records the triangle in the pieces that
+/// it covers.
+///
+/// A piece that the triangle does not overlap remains whole.
+fn cover(
+    local: &mut LocalGeometry<'_>,
+    cutter: &Cutter,
+    pieces: Vec<FacetPiece>,
+) -> Vec<FacetPiece> {
     let edges = cutter.sides(local);
     let mut done = Vec::with_capacity(pieces.len());
     for piece in pieces {
@@ -200,7 +227,7 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<FacetPiece>) -> Vec
             mut triangles,
         } = piece;
         for (edge, side) in edges {
-            // An edge's plane is never the triangle's own.
+            // The plane of an edge always differs from the plane of the triangle.
             let Split::Parts(front, back) = split(local, polygon.clone(), edge) else {
                 continue;
             };
@@ -230,8 +257,8 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<FacetPiece>) -> Vec
     done
 }
 
-/// Adds the pieces as faces.
-fn push(local: &mut Local<'_>, pieces: Vec<FacetPiece>, out: &mut Faces) {
+/// Adds the pieces to `out` as faces.
+fn push(local: &mut LocalGeometry<'_>, pieces: Vec<FacetPiece>, out: &mut Faces) {
     for piece in pieces {
         for (v, _) in &piece.polygon.loops {
             let at = *v as usize;

@@ -1,9 +1,10 @@
-//! Which tetrahedra each triangle passes through, and which of their faces lie in its plane.
+//! Search for the tetrahedra through which each triangle passes, and for the faces in the triangle's plane.
 //!
-//! The tetrahedra that touch a triangle's relative interior are connected through faces that touch it, since
-//! the interior is connected and so are the tetrahedra about each of its points. So a flood from those at one
-//! corner finds all. It may visit others, since the tests for "touches" are signs of planes alone: they never
-//! deny what is true. What it finds is cut exactly afterwards.
+//! The tetrahedra that touch a triangle's relative interior are connected through faces that touch the
+//! interior, because the interior is connected, and so are the tetrahedra around each of its points. So a
+//! flood from the tetrahedra at one corner finds all of these tetrahedra. The tests for contact use only
+//! signs of planes. The tests never miss a contact, but may report contacts that do not exist. Exact cuts
+//! decide these afterwards.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -12,32 +13,34 @@ use super::input::{CellsError, Tetrahedra, face};
 use super::planes::{NONE, Plane, axis_apart};
 use crate::surfaces::{FLAT, Surfaces};
 
-/// A face: its tetrahedron times four, and the corner that it is opposite. Of the two numbers that an inner
-/// face has, the lesser.
+/// The number of a face of a tetrahedron: four times the number of the tetrahedron, plus the index of the
+/// corner opposite the face.
+///
+/// A face of two tetrahedra has the smaller of its two numbers.
 pub type FaceNumber = u32;
 
-/// What triangles meet.
+/// The tetrahedra and faces that triangles touch.
 #[derive(Debug, Default)]
 pub struct Meetings {
-    /// Tetrahedra and triangles that may pass through their inside, ascending.
+    /// Pairs of a tetrahedron and a triangle that may pass through the inside of the tetrahedron, ascending.
     pub inside: Vec<(u32, u32)>,
-    /// Faces and triangles that may overlap them in their plane, ascending.
+    /// Pairs of a face and a triangle in the face's plane that may overlap the face, ascending.
     pub within: Vec<(FaceNumber, u32)>,
-    /// Faces and triangles that are the face, ascending.
+    /// Pairs of a face and a triangle that equals the face, ascending.
     pub whole: Vec<(FaceNumber, u32)>,
 }
 
-/// The plane of a triangle and those through its edges, each with the side of the third corner.
+/// The plane of a triangle and the planes through its edges.
 #[derive(Clone, Copy, Debug)]
 pub struct TrianglePlanes {
-    /// Its plane.
+    /// The plane of the triangle.
     pub plane: Plane,
     /// The planes through the edges from each corner to the next.
     pub edges: [Plane; 3],
 }
 
 impl TrianglePlanes {
-    /// The planes of a triangle with area.
+    /// Computes the planes of a triangle with area, whose corners are point numbers.
     pub fn new(corners: [u32; 3], points: &[[f32; 3]]) -> Self {
         let axis = axis_apart(corners.map(|c| points[c as usize]));
         let edges = std::array::from_fn(|i| Plane::along([corners[i], corners[(i + 1) % 3]], axis));
@@ -48,10 +51,10 @@ impl TrianglePlanes {
     }
 }
 
-/// What the triangles with area meet.
+/// Finds the tetrahedra and faces that the triangles with area touch.
 ///
 /// # Errors
-/// [`CellsError::NotConforming`] where no tetrahedron is found at a triangle.
+/// [`CellsError::NotConforming`] if no tetrahedron touches one of the triangles.
 pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, CellsError> {
     let mut whole = whole_faces(surfaces, all);
     let mut is_whole = vec![false; surfaces.triangles.len()];
@@ -66,7 +69,7 @@ pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, C
     let ids: Vec<u32> = (0..surfaces.triangles.len() as u32)
         .filter(|id| surfaces.flags[*id as usize] & FLAT == 0 && !is_whole[*id as usize])
         .collect();
-    let found: Vec<Found> = ids
+    let found: Vec<FloodResult> = ids
         .par_chunks(256)
         .map_init(
             || Flood {
@@ -77,7 +80,7 @@ pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, C
                 todo: Vec::new(),
             },
             |flood, ids| {
-                let mut found = Found::default();
+                let mut found = FloodResult::default();
                 ids.iter().try_for_each(|id| {
                     flood.flood(*id, surfaces.triangles[*id as usize], &mut found)
                 })?;
@@ -95,12 +98,12 @@ pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, C
     }
     meetings.inside.par_sort_unstable();
     meetings.within.par_sort_unstable();
-    // A face is met from both of its tetrahedra.
+    // The flood finds an inner face from both of its tetrahedra.
     meetings.within.dedup();
     Ok(meetings)
 }
 
-/// The faces that are triangles.
+/// Returns the pairs of a face and a triangle with the same corners.
 fn whole_faces(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Vec<(FaceNumber, u32)> {
     let sorted = |mut corners: [u32; 3]| {
         corners.sort_unstable();
@@ -138,26 +141,37 @@ fn whole_faces(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Vec<(FaceNumber, u3
 }
 
 #[derive(Default)]
-struct Found {
+struct FloodResult {
     inside: Vec<(u32, u32)>,
     within: Vec<(FaceNumber, u32)>,
 }
 
 struct Flood<'a> {
     all: &'a Tetrahedra<'a>,
+    /// For each point, the number of a tetrahedron that has the point as a corner, or `NONE`.
     at_point: &'a [u32],
-    /// The triangle that last saw each tetrahedron.
+    /// For each tetrahedron, the id of the last triangle whose flood reached the tetrahedron.
     seen: Vec<u32>,
-    /// The triangle that last asked for each point's sides, and the sides: neighbours share their points.
+    /// For each point, the id of the last triangle for which the point's sides were computed, and these
+    /// sides.
+    ///
+    /// Neighbouring tetrahedra share points, so this cache avoids repeated computations.
     known: Vec<(u32, Sides)>,
     todo: Vec<u32>,
 }
 
-/// Sides of a point: of the triangle's plane, then of those through its edges, 1 where the triangle is.
+/// The sides on which a point is: of the triangle's plane, then of the planes through the triangle's edges.
+///
+/// For an edge's plane, 1 is the side of the triangle and −1 the other side. 0 is on a plane.
 type Sides = [i8; 4];
 
 impl Flood<'_> {
-    fn flood(&mut self, id: u32, corners: [u32; 3], found: &mut Found) -> Result<(), CellsError> {
+    fn flood(
+        &mut self,
+        id: u32,
+        corners: [u32; 3],
+        found: &mut FloodResult,
+    ) -> Result<(), CellsError> {
         let points = self.all.points;
         let planes = TrianglePlanes::new(corners, points);
         let inner: [i8; 3] =
@@ -172,7 +186,7 @@ impl Flood<'_> {
         if self.todo.is_empty() {
             return Err(CellsError::NotConforming {
                 tetrahedron: 0,
-                what: "no way to a triangle's inside",
+                what: "and all other tetrahedra do not touch the inside of a triangle",
             });
         }
         while let Some(t) = self.todo.pop() {
@@ -204,7 +218,8 @@ impl Flood<'_> {
         Ok(())
     }
 
-    /// Starts with the tetrahedra at a corner, or with all where no tetrahedron has the corner.
+    /// Fills `todo` with the tetrahedra at a corner of the triangle that may touch the triangle, or with all
+    /// tetrahedra if no tetrahedron has the corner.
     fn seeds(&mut self, id: u32, corner: u32, sides: &impl Fn(u32) -> Sides) {
         self.todo.clear();
         let start = self.at_point[corner as usize];
@@ -213,7 +228,7 @@ impl Flood<'_> {
             self.seen.fill(id);
             return;
         }
-        // All tetrahedra at the corner, through the faces that have it.
+        // The walk visits all tetrahedra at the corner, through the faces that contain the corner.
         let mut star = vec![start];
         self.seen[start as usize] = id;
         let mut at = 0;
@@ -228,7 +243,7 @@ impl Flood<'_> {
                 }
             }
         }
-        // Those that cannot touch the triangle count as seen and stay so.
+        // A tetrahedron that cannot touch the triangle remains marked as seen.
         for t in star {
             if may_touch(&self.all.tetrahedra[t as usize].map(|p| self.sides(id, p, sides))) {
                 self.todo.push(t);
@@ -244,7 +259,7 @@ impl Flood<'_> {
         known.1
     }
 
-    /// Whether no face of a tetrahedron has the triangle beyond it.
+    /// Returns true if no face of a tetrahedron separates the triangle from the tetrahedron.
     fn may_touch_back(&self, own: [u32; 4], corners: [u32; 3]) -> bool {
         let points = self.all.points;
         (0..4).all(|k| {
@@ -261,7 +276,7 @@ impl Flood<'_> {
     }
 }
 
-/// Whether the hull of some points may touch the triangle's relative interior.
+/// Returns true if the convex hull of points with these sides may touch the triangle's relative interior.
 fn may_touch(signs: &[Sides]) -> bool {
     let has = |i: usize, sign: i8| signs.iter().any(|s| s[i] == sign);
     let crosses = has(0, 0) || (has(0, 1) && has(0, -1));
@@ -273,7 +288,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn doubled_triangles_are_all_named_at_their_face() {
+    fn meetings_list_all_triangles_equal_to_face() {
         let points = [
             [0.0f32; 3],
             [1.0, 0.0, 0.0],

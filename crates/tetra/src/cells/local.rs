@@ -1,9 +1,9 @@
-//! The planes and vertices about one tetrahedron, and the exact sides of one to the other.
+//! The planes and vertices around one tetrahedron, and the side of a plane on which a vertex lies, exactly.
 //!
-//! A side is the sign of a determinant of four planes. It is 0 where the vertex is known to lie on the plane
-//! (the plane is one of its own, or they share points of the input); else doubles with a bound on their
-//! errors decide; else integers. Coordinates are taken from one point nearby, which makes integers short and
-//! bounds narrow.
+//! A side is the sign of a determinant of four planes. The side is 0 if the vertex is known to lie on the
+//! plane: the plane is one of the vertex's three planes, or shares points of the input with these planes.
+//! Otherwise doubles with error bounds decide the side, and integers decide the side if doubles do not.
+//! Coordinates are relative to one nearby point, which makes integers short and bounds narrow.
 
 use std::cmp::Ordering;
 
@@ -15,22 +15,22 @@ use sightline_numbers::integer::ratio;
 use super::number::{Approx, Number, along_axis, meet, through_points, value};
 use super::planes::{NONE, Plane};
 
-/// What all tetrahedra share.
-pub struct World<'a> {
+/// The points, the planes and the scale that all tetrahedra share.
+pub struct SharedGeometry<'a> {
     /// The points of the input.
     pub points: &'a [[f32; 3]],
     /// The planes by number.
     pub planes: &'a [Plane],
-    /// A power of two that brings every difference of two coordinates to at most 1.
+    /// The power of two by which coordinates are multiplied, so that every difference is at most 1.
     scale: f64,
-    /// Every coordinate is an integer times two to this power.
+    /// The exponent of the unit: every coordinate is an integer times two to this power.
     least: i32,
-    /// A rounded vertex from doubles is taken up to this error.
+    /// The maximum error of a rounded vertex that is computed from doubles, in units of the scene.
     tolerance: f64,
 }
 
-impl<'a> World<'a> {
-    /// Points and planes.
+impl<'a> SharedGeometry<'a> {
+    /// Creates the shared geometry, and computes the scale and the unit of the points.
     pub fn new(points: &'a [[f32; 3]], planes: &'a [Plane]) -> Self {
         let mut least = i32::MAX;
         let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
@@ -45,7 +45,7 @@ impl<'a> World<'a> {
             }
         }
         let size = (0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max);
-        // The exponent that the double has, and one more: the power of two above the size.
+        // The exponent of the power of two above the size: the double's own exponent plus one.
         let exponent = if size > 0.0 {
             (size.to_bits() >> 52) as i32 - 1022
         } else {
@@ -81,52 +81,56 @@ impl<'a> World<'a> {
         std::array::from_fn(|i| one(p[i]) - one(origin[i]))
     }
 
-    fn equation<T: Number>(&self, plane: Plane, of: impl Fn(u32) -> [T; 3]) -> [T; 4] {
+    fn equation<T: Number>(&self, plane: Plane, point: impl Fn(u32) -> [T; 3]) -> [T; 4] {
         let [a, b, c] = plane.0;
         match plane.axis() {
-            Some(axis) => along_axis([&of(a), &of(b)], axis),
-            None => through_points([&of(a), &of(b), &of(c)]),
+            Some(axis) => along_axis([&point(a), &point(b)], axis),
+            None => through_points([&point(a), &point(b), &point(c)]),
         }
     }
 }
 
-/// A rounded coordinate is off by at most two to the power of −`ROUNDED_BITS` of the power of two above the
-/// box's greatest side, and one unit in its last place.
+/// Precision of rounded vertices, in bits.
+///
+/// The error of a rounded coordinate is at most two to the power of −`ROUNDED_BITS` times the power of two
+/// above the box's largest side, plus one unit in the last place.
 pub const ROUNDED_BITS: i32 = 44;
 
-/// What a vertex is: `[point, NONE, NONE]`, or the numbers of three planes, ascending.
-pub type Key = [u32; 3];
+/// The key of a vertex: `[point, NONE, NONE]` with a point number, or the global numbers of three planes,
+/// ascending.
+pub type VertexKey = [u32; 3];
 
-/// The key of a point of the input.
-pub fn point_key(point: u32) -> Key {
+/// Returns the key of the vertex at the point of the input with this number.
+pub fn point_key(point: u32) -> VertexKey {
     [point, NONE, NONE]
 }
 
 struct LocalPlane {
+    /// The global number of the plane.
     number: u32,
     doubles: [Approx; 4],
     integers: Option<Box<[IBig; 4]>>,
-    /// Points of the input that lie on the plane; some, not all.
+    /// The numbers of points of the input that are known to lie on the plane. The list need not be complete.
     points: Vec<u32>,
 }
 
 struct Vertex {
-    key: Key,
-    /// Its local planes; not used for a point of the input.
+    key: VertexKey,
+    /// The local numbers of the vertex's three planes; `NONE` for a point of the input.
     planes: [u32; 3],
-    /// Homogeneous coordinates; the last is positive.
+    /// The homogeneous coordinates in doubles; the last coordinate is positive.
     doubles: [Approx; 4],
     integers: Option<Box<[IBig; 4]>>,
-    /// Whether the last coordinate was negative before all were negated.
+    /// True if the last coordinate was negative before all coordinates were negated.
     is_negated: bool,
 }
 
-/// How many decisions were made, and how many of them took integers.
+/// The number of all exact decisions, and the number of decisions that needed integers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Decisions {
-    /// Signs of determinants.
+    /// The number of signs of determinants that were computed.
     pub all: u64,
-    /// Those that doubles left open.
+    /// The number of signs that doubles did not decide.
     pub integers: u64,
 }
 
@@ -137,24 +141,26 @@ impl std::ops::AddAssign for Decisions {
     }
 }
 
-/// The planes and vertices about one tetrahedron.
-pub struct Local<'a> {
-    /// What all tetrahedra share.
-    pub world: &'a World<'a>,
+/// The planes and vertices around one tetrahedron. A local number is an index into these lists; a global
+/// number is the same for all tetrahedra.
+pub struct LocalGeometry<'a> {
+    /// The geometry that all tetrahedra share.
+    pub world: &'a SharedGeometry<'a>,
     origin: [f32; 3],
     planes: Vec<LocalPlane>,
     plane_of: FxHashMap<u32, u32>,
     vertices: Vec<Vertex>,
-    vertex_of: FxHashMap<Key, u32>,
-    /// Signs that took integers, by vertex and plane.
+    vertex_of: FxHashMap<VertexKey, u32>,
+    /// The signs that doubles did not decide, by the local numbers of vertex and plane.
     signs: FxHashMap<(u32, u32), i8>,
-    /// What was counted.
+    /// The number of decisions so far.
     pub decisions: Decisions,
 }
 
-impl<'a> Local<'a> {
-    /// Nothing yet; coordinates are taken from `origin`.
-    pub fn new(world: &'a World<'a>, origin: u32) -> Self {
+impl<'a> LocalGeometry<'a> {
+    /// Creates empty lists of planes and vertices. Coordinates are relative to the point with the number
+    /// `origin`.
+    pub fn new(world: &'a SharedGeometry<'a>, origin: u32) -> Self {
         Self {
             world,
             origin: world.points[origin as usize],
@@ -167,7 +173,8 @@ impl<'a> Local<'a> {
         }
     }
 
-    /// The local number of a plane on which some points are known to lie.
+    /// Returns the local number of the plane with the global number `number`, and records that `points` lie
+    /// on the plane.
     pub fn plane(&mut self, number: u32, points: &[u32]) -> u32 {
         let (world, origin) = (self.world, self.origin);
         let planes = &mut self.planes;
@@ -192,17 +199,17 @@ impl<'a> Local<'a> {
         local
     }
 
-    /// The number of a local plane.
+    /// Returns the global number of a local plane.
     pub fn number(&self, plane: u32) -> u32 {
         self.planes[plane as usize].number
     }
 
-    /// The key of a vertex.
-    pub fn key(&self, vertex: u32) -> Key {
+    /// Returns the key of a local vertex.
+    pub fn key(&self, vertex: u32) -> VertexKey {
         self.vertices[vertex as usize].key
     }
 
-    /// A point of the input.
+    /// Returns the local number of the vertex at a point of the input.
     pub fn point(&mut self, point: u32) -> u32 {
         let vertices = &mut self.vertices;
         *self.vertex_of.entry(point_key(point)).or_insert_with(|| {
@@ -218,7 +225,8 @@ impl<'a> Local<'a> {
         })
     }
 
-    /// The meet of three local planes that have one point in common.
+    /// Returns the local number of the vertex in which three planes meet, given their local numbers. The
+    /// planes must have exactly one common point.
     pub fn meet(&mut self, p: u32, q: u32, r: u32) -> u32 {
         let [a, b, c] = [p, q, r].map(|l| &self.planes[l as usize].points);
         if let Some(point) = a.iter().find(|x| b.contains(x) && c.contains(x)).copied() {
@@ -262,7 +270,9 @@ impl<'a> Local<'a> {
         v
     }
 
-    /// On which side of a plane a vertex lies: 1 in front, −1 behind, 0 on it.
+    /// Returns the side of a plane on which a vertex lies, given their local numbers.
+    ///
+    /// The side is 1 in front, −1 behind, and 0 on the plane.
     pub fn side(&mut self, vertex: u32, plane: u32) -> i8 {
         let (v, s) = (
             &self.vertices[vertex as usize],
@@ -295,8 +305,9 @@ impl<'a> Local<'a> {
         sign
     }
 
-    /// Whether two planes of a vertex share two points of the input with a third plane: then the three share
-    /// a line, which the vertex lies on.
+    /// Returns true if two planes of a vertex share two input points with a third plane.
+    ///
+    /// Then the three planes share a line, and the vertex lies on this line.
     fn is_on_shared_line(&self, vertex: u32, plane: u32) -> bool {
         let [p, q, r] = self.vertices[vertex as usize]
             .planes
@@ -329,7 +340,7 @@ impl<'a> Local<'a> {
             &self.vertices[vertex as usize].integers,
         ) {
             (Some(s), Some(v)) => sign(value(s, v).cmp(&IBig::ZERO)),
-            // Both were made above.
+            // Both values were computed above.
             _ => 0,
         }
     }
@@ -351,12 +362,12 @@ impl<'a> Local<'a> {
         }
         match planes.map(|l| &self.planes[l as usize].integers) {
             [Some(a), Some(b), Some(c)] => meet(a, b, c),
-            // All were made above.
+            // All values were computed above.
             _ => std::array::from_fn(|_| IBig::ZERO),
         }
     }
 
-    /// A vertex in doubles, see [`ROUNDED_BITS`].
+    /// Returns a vertex in doubles, with the precision of [`ROUNDED_BITS`].
     pub fn rounded(&mut self, vertex: u32) -> [f64; 3] {
         let v = &self.vertices[vertex as usize];
         if v.planes[0] == NONE {
@@ -365,7 +376,8 @@ impl<'a> Local<'a> {
         let origin = self.origin.map(f64::from);
         let w = v.doubles[3];
         let at = |x: Approx| x.value / w.value;
-        // The error of a quotient, doubled for the roundings of this formula itself, and those of the result.
+        // Twice the error of a quotient, which covers the roundings of this formula. `most` adds the
+        // roundings of the result.
         let error = |x: Approx| 2.0 * (x.error + at(x).abs() * w.error) / (w.value - w.error);
         let most = (0..3).map(|i| error(v.doubles[i]) + f64::EPSILON * at(v.doubles[i]).abs());
         let is_near = most.fold(0.0, f64::max) <= self.world.tolerance * self.world.scale;
@@ -380,7 +392,7 @@ impl<'a> Local<'a> {
             exact
         };
         let zero = self.world.integers_of(self.origin);
-        // From the box's own zero, so that only one rounding is made.
+        // Exact coordinates relative to the origin of the scene need only one rounding.
         let absolute = |x: IBig, o: &IBig| self.world.unscaled(&(x + o * &w), &w);
         [
             absolute(x, &zero[0]),
@@ -390,7 +402,7 @@ impl<'a> Local<'a> {
     }
 }
 
-impl World<'_> {
+impl SharedGeometry<'_> {
     fn integers_of(&self, place: [f32; 3]) -> [IBig; 3] {
         place.map(|x| {
             let (mantissa, exponent) = dyadic(f64::from(x));
@@ -402,7 +414,8 @@ impl World<'_> {
         })
     }
 
-    /// A quotient of integers, in the unit of the input.
+    /// Computes a quotient of integers, which are in units of 2 to the power of `least`, in units of the
+    /// scene.
     fn unscaled(&self, n: &IBig, d: &IBig) -> f64 {
         ratio(n, d) * 2f64.powi(self.least)
     }

@@ -1,20 +1,20 @@
-//! Planes and the meets of three planes, over any kind of number.
+//! Formulas for planes and their intersections, over several kinds of numbers.
 //!
-//! The same formulas run over doubles that know their errors ([`Approx`]), over integers, and over residues
-//! modulo 2⁶¹ − 1 ([`Residue`]), from which names of planes are made.
+//! The same formulas run over doubles with error bounds ([`Approx`]), over integers, and over residues modulo
+//! 2⁶¹ − 1 ([`Residue`]). The hashes of planes are computed from the residues.
 
 use dashu_int::IBig;
 use sightline_geometry::rounding::UNIT as U;
 
-/// What the formulas need of a number.
+/// The operations on numbers that the formulas need.
 pub trait Number: Clone {
-    /// The sum.
+    /// Returns the sum.
     fn add(&self, other: &Self) -> Self;
-    /// The difference.
+    /// Returns the difference.
     fn sub(&self, other: &Self) -> Self;
-    /// The product.
+    /// Returns the product.
     fn mul(&self, other: &Self) -> Self;
-    /// Nothing.
+    /// Returns zero.
     fn zero() -> Self;
 }
 
@@ -33,26 +33,26 @@ impl Number for IBig {
     }
 }
 
-/// A double and a bound on its distance from the truth, for numbers whose magnitudes stay below 10⁶.
+/// A double with a bound on its error, for numbers whose magnitudes are below 10⁶.
 ///
-/// Each operation adds to the bound what its operands' bounds do to the result, and `U` times the rounded
-/// result for its own rounding. The bounds are sums of products of non-negative doubles and lose at most a
-/// part of 4u an operation themselves; after 100 operations in a row that is less than 10⁻¹³ of them.
-/// Products below the range of doubles vanish, each with an error below 2⁻¹⁰⁷⁴, and are afterwards multiplied
-/// by less than 10³⁰ altogether. [`Approx::sign`] leaves room for both.
+/// Each operation adds to the bound the effect of the operands' bounds on the result, and `U` times the
+/// rounded result for its own rounding. The bounds are sums of products of non-negative doubles. Each
+/// operation rounds a bound down by at most 4u of its value; 100 operations in a row lose less than 10⁻¹³ of
+/// the bounds. Products below the range of doubles become 0, each with an error below 2⁻¹⁰⁷⁴, and later
+/// factors are together less than 10³⁰. [`Approx::sign`] includes a margin for both errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Approx {
-    /// The double.
+    /// The rounded value.
     pub value: f64,
-    /// At least its error.
+    /// An upper bound of the error of `value`.
     pub error: f64,
 }
 
 impl Approx {
-    /// The difference of two doubles times a power of two.
+    /// Computes (x − y) · `scale`, where `scale` is a power of two.
     pub fn difference(x: f64, y: f64, scale: f64) -> Self {
         let value = x - y;
-        // Knuth's sum: the rest is exact.
+        // Knuth's sum: the computed remainder is exact.
         let back = value - x;
         let rest = (x - (value - back)) + (-y - back);
         Self {
@@ -61,7 +61,7 @@ impl Approx {
         }
     }
 
-    /// 1, −1, or `None` where the error may be larger than the value.
+    /// Returns the sign of the exact number, 1 or −1, or `None` if the error may be larger than the value.
     pub fn sign(self) -> Option<i8> {
         if self.value.abs() > self.error * (1.0 + 1e-9) + 1e-280 {
             Some(if self.value > 0.0 { 1 } else { -1 })
@@ -70,7 +70,7 @@ impl Approx {
         }
     }
 
-    /// The number with the other sign.
+    /// Returns the number with the opposite sign.
     pub fn negated(self) -> Self {
         Self {
             value: -self.value,
@@ -115,7 +115,8 @@ pub struct Residue(u64);
 impl Residue {
     const PRIME: u64 = (1 << 61) - 1;
 
-    /// `mantissa` times two to the power of `exponent`. Two to the power of 61 is 1.
+    /// Computes `mantissa` times two to the power of `exponent`, modulo the prime. Two to the power of 61 is
+    /// 1.
     pub fn dyadic(mantissa: i64, exponent: i32) -> Self {
         let turn = exponent.rem_euclid(61) as u32;
         let magnitude = mantissa.unsigned_abs() % Self::PRIME;
@@ -127,12 +128,12 @@ impl Residue {
         }
     }
 
-    /// The number itself, below 2⁶¹.
+    /// Returns the residue as an integer below 2⁶¹.
     pub fn get(self) -> u64 {
         self.0
     }
 
-    /// The inverse, by Fermat; of 0 it is 0.
+    /// Computes the multiplicative inverse by Fermat's theorem. The inverse of 0 is 0.
     pub fn inverse(self) -> Self {
         let mut result = Self(1);
         let mut power = self;
@@ -178,7 +179,9 @@ impl Number for Residue {
     }
 }
 
-/// Normal and offset of the plane through three points: (b − a) × (c − a), and what makes it vanish at a.
+/// Computes normal and offset of the plane through three points a, b, c.
+///
+/// The normal is (b − a) × (c − a). The offset is −normal · a, so the plane's value at a is 0.
 pub fn through_points<T: Number>([a, b, c]: [&[T; 3]; 3]) -> [T; 4] {
     let d: [T; 3] = std::array::from_fn(|i| b[i].sub(&a[i]));
     let e: [T; 3] = std::array::from_fn(|i| c[i].sub(&a[i]));
@@ -186,7 +189,9 @@ pub fn through_points<T: Number>([a, b, c]: [&[T; 3]; 3]) -> [T; 4] {
     with_offset([minor(1, 2), minor(2, 0), minor(0, 1)], a)
 }
 
-/// Normal and offset of the plane through two points along an axis: (b − a) × axis, and the offset.
+/// Computes normal and offset of the plane through two points a, b and parallel to an axis.
+///
+/// The normal is (b − a) × axis.
 pub fn along_axis<T: Number>([a, b]: [&[T; 3]; 2], axis: usize) -> [T; 4] {
     let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
     let mut normal = std::array::from_fn(|_| T::zero());
@@ -201,13 +206,15 @@ fn with_offset<T: Number>(n: [T; 3], a: &[T; 3]) -> [T; 4] {
     [x, y, z, T::zero().sub(&offset)]
 }
 
-/// The point on three planes in homogeneous coordinates: its product with a fourth plane is the determinant
-/// of the four, and its last coordinate that of the three normals.
+/// Computes the intersection of three planes in homogeneous coordinates.
+///
+/// The value of a fourth plane at the result is the determinant of the four planes. The last coordinate is
+/// the determinant of the three normals.
 pub fn meet<T: Number>(p: &[T; 4], q: &[T; 4], r: &[T; 4]) -> [T; 4] {
     let m = |i: usize, j: usize| p[i].mul(&q[j]).sub(&p[j].mul(&q[i]));
     let (m01, m02, m03) = (m(0, 1), m(0, 2), m(0, 3));
     let (m12, m13, m23) = (m(1, 2), m(1, 3), m(2, 3));
-    // Minors of three columns, by the row r.
+    // Minors of three columns, expanded along the row r.
     let det = |a: usize, ma: &T, b: usize, mb: &T, c: usize, mc: &T| {
         r[a].mul(ma).sub(&r[b].mul(mb)).add(&r[c].mul(mc))
     };
@@ -219,7 +226,7 @@ pub fn meet<T: Number>(p: &[T; 4], q: &[T; 4], r: &[T; 4]) -> [T; 4] {
     ]
 }
 
-/// The value of a plane at a point in homogeneous coordinates.
+/// Computes the value of a plane at a point in homogeneous coordinates.
 pub fn value<T: Number>(plane: &[T; 4], point: &[T; 4]) -> T {
     let sum = plane[0].mul(&point[0]).add(&plane[1].mul(&point[1]));
     sum.add(&plane[2].mul(&point[2]))
@@ -235,13 +242,13 @@ mod tests {
     }
 
     #[test]
-    fn a_meet_lies_on_its_planes_and_gives_the_determinant() {
+    fn meet_lies_on_planes_and_gives_determinant() {
         let [p, q, r, s] = rows().map(|row| row.map(IBig::from));
         let x = meet(&p, &q, &r);
         for plane in [&p, &q, &r] {
             assert_eq!(value(plane, &x), IBig::ZERO);
         }
-        // By expansion along the first column, worked out apart.
+        // The expected value is computed separately, by expansion along the first column.
         let det3 = |a: [i64; 3], b: [i64; 3], c: [i64; 3]| {
             a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
                 + a[2] * (b[0] * c[1] - b[1] * c[0])
@@ -256,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn residues_are_a_field() {
+    fn residues_form_field() {
         let x = Residue::dyadic(-12345, -7);
         assert_eq!(x.mul(&x.inverse()), Residue::dyadic(1, 0));
         assert_eq!(Residue::dyadic(3, 61), Residue::dyadic(3, 0));
@@ -271,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_knows_what_it_lost() {
+    fn difference_bounds_its_rounding_error() {
         let exact = Approx::difference(3.0, 1.0, 0.5);
         assert_eq!((exact.value, exact.error), (1.0, 0.0));
         let lost = Approx::difference(1.0, 1e-30, 1.0);

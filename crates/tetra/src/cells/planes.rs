@@ -1,7 +1,8 @@
-//! The planes of the input, each with one number however often the input names it.
+//! The planes of the input with unique numbers.
 //!
-//! Two planes are the same when all their points are. Numbers are given in the order in which planes are
-//! first named, so that they do not depend on the machine.
+//! Two planes are equal if both contain the same points of space. Equal planes have the same number, even if
+//! the input defines the planes by different points. The numbers follow the order in which planes are first
+//! listed, so the numbers do not depend on the machine.
 
 use std::cmp::Ordering;
 
@@ -11,38 +12,42 @@ use sightline_geometry::predicates::{dyadic, orient2d_sign, orient3d_sign};
 
 use super::number::{Number, Residue, along_axis, through_points};
 
-/// No plane, cell or tetrahedron.
+/// Marker for a missing plane, cell or tetrahedron.
 pub const NONE: u32 = u32::MAX;
 
-/// An oriented plane of the input: through three points, or through two points along a coordinate axis.
+/// An oriented plane of the input.
 ///
-/// In front of the plane through a, b and c is what sees them turn counter-clockwise. In front of the plane
-/// through a and b along an axis is where (b − a) × axis points to. An axis x, y, z is written in place of
-/// the third point as `AXIS`, `AXIS` + 1, `AXIS` + 2.
+/// The plane goes through three points, given as point numbers, or goes through two points and is parallel to
+/// a coordinate axis.
+///
+/// A viewer in front of the plane through a, b and c sees the three points turn counter-clockwise. The front
+/// of the plane through a and b along an axis is the side that (b − a) × axis points to. For the axis x, y or
+/// z, the third number is `AXIS`, `AXIS` + 1 or `AXIS` + 2 instead of a point number.
 #[repr(transparent)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Plane(pub [u32; 3]);
 
 impl Plane {
-    /// The axis x in place of a third point; y and z follow.
+    /// The third number of a plane along the axis x. The next two numbers stand for the axes y and z.
     pub const AXIS: u32 = u32::MAX - 3;
 
-    /// The plane through two points along axis 0, 1 or 2.
+    /// Creates the plane through two points that is parallel to axis 0 (x), 1 (y) or 2 (z).
     pub fn along([a, b]: [u32; 2], axis: usize) -> Self {
         Self([a, b, Self::AXIS + axis as u32])
     }
 
-    /// The axis of a plane along one.
+    /// Returns the axis of a plane along an axis, or `None` for a plane through three points.
     pub fn axis(self) -> Option<usize> {
         (self.0[2] >= Self::AXIS).then(|| (self.0[2] - Self::AXIS) as usize)
     }
 
-    /// The two or three points that the plane is given by.
+    /// Returns the numbers of the two or three points that define the plane.
     pub fn given(&self) -> &[u32] {
         &self.0[..if self.axis().is_some() { 2 } else { 3 }]
     }
 
-    /// On which side of the plane a place is: `Greater` in front of it.
+    /// Returns the side of the plane on which the position `place` is: `Greater` in front of the plane,
+    /// `Less` behind, and `Equal` on the plane.
     pub fn side(self, points: &[[f32; 3]], place: [f32; 3]) -> Ordering {
         let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
         if let Some(axis) = self.axis() {
@@ -53,7 +58,7 @@ impl Plane {
         orient3d_sign(a, b, c, p)
     }
 
-    /// [`Self::side`] of a point of the input.
+    /// Returns the side of the plane on which the point with the number `point` is ([`Self::side`]).
     pub fn side_of(self, points: &[[f32; 3]], point: u32) -> Ordering {
         if self.given().contains(&point) {
             return Ordering::Equal;
@@ -61,7 +66,7 @@ impl Plane {
         self.side(points, points[point as usize])
     }
 
-    /// The sign of a coordinate of the normal: `Greater` where the front is towards larger coordinates.
+    /// Returns the sign of a coordinate of the normal: `Greater` if the front is towards larger coordinates.
     pub fn normal_sign(self, points: &[[f32; 3]], axis: usize) -> Ordering {
         let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
         let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -70,14 +75,14 @@ impl Plane {
                 let flat = |p: [f32; 3]| [p[next], p[last]];
                 orient2d_sign(flat(a), flat(b), flat(points[self.0[2] as usize]))
             }
-            // (b − a) × axis.
+            // The normal is (b − a) × axis.
             Some(own) if own == last => b[next].partial_cmp(&a[next]).unwrap_or(Ordering::Equal),
             Some(own) if own == next => a[last].partial_cmp(&b[last]).unwrap_or(Ordering::Equal),
             Some(_) => Ordering::Equal,
         }
     }
 
-    /// Whether an axis is parallel to the plane.
+    /// Returns true if an axis is parallel to the plane.
     fn holds_direction(self, points: &[[f32; 3]], axis: usize) -> bool {
         let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
         match self.axis() {
@@ -90,7 +95,7 @@ impl Plane {
         }
     }
 
-    /// Whether two planes have the same points.
+    /// Returns true if two planes are equal: both contain the same points of space.
     pub fn is(self, other: Self, points: &[[f32; 3]]) -> bool {
         self.given()
             .iter()
@@ -100,7 +105,7 @@ impl Plane {
                 .is_none_or(|axis| other.holds_direction(points, axis))
     }
 
-    /// A number that equal planes share and others hardly ever.
+    /// Computes a hash of the plane. Equal planes have the same hash; different planes rarely do.
     pub fn name(self, points: &[[f32; 3]]) -> u64 {
         let residues = |n: u32| {
             points[n as usize].map(|x| {
@@ -125,11 +130,13 @@ impl Plane {
     }
 }
 
-/// An odd number with its bits all over.
+/// An odd multiplier that distributes the bits of a hash.
 const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The axis along which to put a plane through an edge of a triangle, which must not be the triangle's own
-/// plane: one that is not parallel to the triangle, and rather close to its normal.
+/// Returns the axis to which the planes through the edges of a triangle are parallel: 0, 1 or 2.
+///
+/// The axis is not parallel to the triangle, so these planes differ from the triangle's own plane. The
+/// function prefers the axis that is closest to the triangle's normal.
 pub fn axis_apart(corners: [[f32; 3]; 3]) -> usize {
     let [a, b, c] = corners.map(|p| p.map(f64::from));
     let minor =
@@ -145,19 +152,20 @@ pub fn axis_apart(corners: [[f32; 3]; 3]) -> usize {
     order.into_iter().find(apart).unwrap_or(order[0])
 }
 
-/// The numbers of planes.
+/// A table that assigns numbers to planes.
 #[derive(Default)]
 pub struct PlaneTable {
     /// The planes by number.
     pub planes: Vec<Plane>,
-    /// The last plane of each name.
+    /// For each hash ([`Plane::name`]), the number of the last plane with this hash.
     last: FxHashMap<u64, u32>,
-    /// The plane before of the same name.
+    /// For each plane, the number of the previous plane with the same hash, or [`NONE`].
     before: Vec<u32>,
 }
 
 impl PlaneTable {
-    /// The number of a plane with its [`Plane::name`].
+    /// Returns the number of a plane. Adds the plane if the table does not contain an equal plane. `name` is
+    /// the result of [`Plane::name`].
     pub fn number(&mut self, plane: Plane, name: u64, points: &[[f32; 3]]) -> u32 {
         let last = self.last.get(&name).copied();
         let mut at = last;
@@ -174,7 +182,9 @@ impl PlaneTable {
         n
     }
 
-    /// Adds a plane that no decision compares with another, without a look for its equal.
+    /// Adds a plane without a search for an equal plane, and returns its number.
+    ///
+    /// Use this function for planes that no decision compares with other planes.
     pub fn add(&mut self, plane: Plane) -> u32 {
         self.planes.push(plane);
         self.before.push(NONE);
@@ -187,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_planes_have_one_number_however_they_are_named() {
+    fn equal_planes_share_one_number() {
         let points = [
             [0.0, 0.0, 1.0],
             [1.0, 0.0, 1.0],
@@ -210,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn in_front_is_where_the_normal_points() {
+    fn normal_points_to_front_of_plane() {
         let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         assert_eq!(
             Plane([0, 1, 2]).side(&points, [0.2, 0.2, 1.0]),

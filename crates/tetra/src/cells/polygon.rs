@@ -1,32 +1,34 @@
-//! Convex polygons in a plane of the input, whose vertices are planes' meets: how a plane splits one, and the
-//! section of a tetrahedron.
+//! Convex polygons in a plane of the input, their splits by planes, and sections of tetrahedra.
+//!
+//! The vertices of a polygon are intersections of planes.
 
 use std::cmp::Ordering;
 
 use glam::Vec3;
 use sightline_geometry::predicates::orient3d_sign;
 
-use super::local::Local;
+use super::local::LocalGeometry;
 
-/// A convex polygon. Its numbers are local ones.
+/// A convex polygon. Its plane and vertex numbers refer to a [`LocalGeometry`].
 #[derive(Clone, Debug)]
 pub struct Polygon {
-    /// The plane it lies in.
+    /// The local number of the plane that contains the polygon.
     pub plane: u32,
-    /// Each vertex, and another plane that holds the edge from it to the next vertex.
+    /// Each vertex, as its local number, and the local number of another plane that contains the edge from
+    /// this vertex to the next vertex.
     pub loops: Vec<(u32, u32)>,
 }
 
 /// The parts of a polygon on both sides of a plane.
 pub enum Split {
-    /// The plane is the polygon's own.
+    /// The polygon lies in the plane.
     On,
-    /// The parts in front and behind that have area.
+    /// The parts in front of the plane and behind the plane; `None` for a part without area.
     Parts(Option<Polygon>, Option<Polygon>),
 }
 
-/// Splits a polygon by a plane.
-pub fn split(local: &mut Local<'_>, polygon: Polygon, plane: u32) -> Split {
+/// Splits a polygon by the plane with the local number `plane`.
+pub fn split(local: &mut LocalGeometry<'_>, polygon: Polygon, plane: u32) -> Split {
     if polygon.plane == plane {
         return Split::On;
     }
@@ -58,7 +60,7 @@ pub fn split(local: &mut Local<'_>, polygon: Polygon, plane: u32) -> Split {
                     }
                     (1, _) => front.push((v, edge)),
                     (-1, _) => back.push((v, edge)),
-                    // The vertex is on the plane, and the edge goes on to one side.
+                    // The vertex is on the plane, and the edge continues on one side of the plane.
                     (_, 1) => {
                         front.push((v, edge));
                         back.push((v, plane));
@@ -80,8 +82,15 @@ pub fn split(local: &mut Local<'_>, polygon: Polygon, plane: u32) -> Split {
     }
 }
 
-/// The part of a polygon on one side (1 or −1) of a plane that it does not lie in, if it has area.
-pub fn part(local: &mut Local<'_>, polygon: Polygon, plane: u32, side: i8) -> Option<Polygon> {
+/// Returns the part of a polygon on one side of a plane: in front if `side` is 1, behind if `side` is −1.
+///
+/// Returns `None` if the part has no area, or if the polygon lies in the plane.
+pub fn part(
+    local: &mut LocalGeometry<'_>,
+    polygon: Polygon,
+    plane: u32,
+    side: i8,
+) -> Option<Polygon> {
     match split(local, polygon, plane) {
         Split::On => None,
         Split::Parts(front, back) => {
@@ -94,18 +103,20 @@ pub fn part(local: &mut Local<'_>, polygon: Polygon, plane: u32, side: i8) -> Op
     }
 }
 
-/// A tetrahedron with its four local planes.
+/// A tetrahedron with the planes of its four faces.
 #[derive(Clone, Copy)]
 pub struct Corners {
-    /// Points of the input.
+    /// The corners, as numbers of points of the input.
     pub points: [u32; 4],
-    /// The local plane of the face opposite each corner.
+    /// The local number of the plane of the face opposite each corner.
     pub faces: [u32; 4],
 }
 
-/// The section of a tetrahedron by a plane, counter-clockwise as seen from in front of the plane. `None`
-/// where the plane does not pass through the inside.
-pub fn section(local: &mut Local<'_>, tetrahedron: Corners, plane: u32) -> Option<Polygon> {
+/// Computes the section of a tetrahedron by the plane with the local number `plane`.
+///
+/// The section turns counter-clockwise as seen from in front of the plane. Returns `None` if the plane does
+/// not pass through the inside of the tetrahedron.
+pub fn section(local: &mut LocalGeometry<'_>, tetrahedron: Corners, plane: u32) -> Option<Polygon> {
     let corners = tetrahedron.points.map(|p| local.point(p));
     let (mut front, mut on, mut back) = (Vec::new(), Vec::new(), Vec::new());
     for (k, v) in corners.into_iter().enumerate() {
@@ -115,8 +126,10 @@ pub fn section(local: &mut Local<'_>, tetrahedron: Corners, plane: u32) -> Optio
             _ => back.push(k),
         }
     }
-    // The places of the loop: a corner (twice), or the ends of an edge. Then the corners that say whether it
-    // turns counter-clockwise as seen from the last of them, and whether that one is in front.
+    // `places` is the loop of the section. Each entry is a corner (listed twice), or the two ends of the edge
+    // that contains the vertex. The orientation of the corners in `turn` shows if the loop turns
+    // counter-clockwise as seen from the last corner in `turn`. `is_front` is true if this last corner is in
+    // front of the plane.
     let (places, turn, is_front) = match (&front[..], &on[..], &back[..]) {
         (&[p], &[], &[a, b, c]) => (vec![(p, a), (p, b), (p, c)], [a, b, c, p], true),
         (&[p, q, r], &[], &[a]) => (vec![(p, a), (q, a), (r, a)], [p, q, r, a], false),
@@ -139,7 +152,8 @@ pub fn section(local: &mut Local<'_>, tetrahedron: Corners, plane: u32) -> Optio
             let (a, b) = (through.next()?, through.next()?);
             local.meet(plane, a, b)
         };
-        // The edge runs in a face that holds both places: one opposite a corner that neither names.
+        // The edge of the section lies in a face that contains both of its vertices. This face is opposite a
+        // corner that neither entry of `places` contains.
         let apart = (0..4).find(|k| ![at.0, at.1, next.0, next.1].contains(k))?;
         loops.push((vertex, tetrahedron.faces[apart]));
     }
@@ -151,12 +165,12 @@ pub fn section(local: &mut Local<'_>, tetrahedron: Corners, plane: u32) -> Optio
     Some(Polygon { plane, loops })
 }
 
-/// Turns a loop around, each edge's plane with its edge.
+/// Reverses a loop of [`Polygon::loops`]. Each edge keeps its plane.
 pub fn reverse(loops: &mut [(u32, u32)]) {
     let n = loops.len();
     let edges: Vec<u32> = loops.iter().map(|(_, edge)| *edge).collect();
     loops.reverse();
-    // The vertex i was at n − 1 − i, and the edge to what follows now is the one that led to it then.
+    // Vertex i was at index n − 1 − i. Its edge to the next vertex was the edge from the previous vertex.
     for (i, item) in loops.iter_mut().enumerate() {
         item.1 = edges[(2 * n - 2 - i) % n];
     }

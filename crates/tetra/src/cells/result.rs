@@ -1,32 +1,36 @@
-//! The cells in flat arrays.
+//! The cells of a scene in flat arrays.
 
 use super::local::Decisions;
 use super::planes::{NONE, Plane};
 
-/// Convex cells that fill a box, between faces that triangles cover wholly or not at all.
+/// Convex cells that fill a box, between faces that each triangle covers completely or not at all.
 ///
-/// A vertex is a number: below the number of points it is a point of the input, else one of `meets`, counted
-/// from the number of points on.
+/// A vertex is an index. An index below the length of `points` refers to an entry of `points`. A larger
+/// index, minus the length of `points`, refers to an entry of `meets`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cells {
     /// The points of the surfaces, then the eight corners of the box.
     pub points: Vec<[f32; 3]>,
-    /// Planes of the input.
+    /// The planes of the triangles and of the faces of tetrahedra.
     pub planes: Vec<Plane>,
-    /// Vertices that are the meets of three planes, by their numbers, ascending.
+    /// The vertices that are intersections of three planes: each as three indices into `planes`, ascending.
     pub meets: Vec<[u32; 3]>,
-    /// The meets in doubles, off by at most 2⁻⁴⁴ of the power of two above the box's greatest side and one
-    /// unit in the last place. No decision was made with them.
+    /// The positions of the vertices in `meets`, in doubles.
+    ///
+    /// Each coordinate is off by at most 2⁻⁴⁴ times the power of two above the box's largest side, plus one
+    /// unit in the last place. No decision uses these positions.
     pub rounded: Vec<[f64; 3]>,
-    /// The faces. The list ends with one more, whose starts are the ends of the last.
+    /// The faces, and one more entry whose starts are the ends of the last face.
     pub faces: Vec<FaceRecord>,
-    /// The vertices of the faces' loops.
+    /// The vertices of the faces' loops, one loop after another.
     pub loops: Vec<u32>,
-    /// The triangles that cover the faces, ascending in each.
+    /// The ids of the triangles that cover the faces, one face after another, ascending in each face.
     pub triangles: Vec<u32>,
-    /// The cells. The list ends with one more, whose start is the end of the last.
+    /// The cells, and one more entry whose start is the end of the last cell.
     pub cells: Vec<CellRecord>,
-    /// The faces of the cells, ascending in each: a face times two, and one more where the cell is behind it.
+    /// The faces of the cells, one cell after another, ascending in each cell.
+    ///
+    /// An entry is twice the index of the face, plus 1 if the cell is behind the face.
     pub cell_faces: Vec<u32>,
 }
 
@@ -34,13 +38,14 @@ pub struct Cells {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct FaceRecord {
-    /// Its plane.
+    /// The index of the face's plane in `planes`.
     pub plane: u32,
-    /// The start of its loop in `loops`. It turns counter-clockwise as seen from in front of the plane.
+    /// The index of the first vertex of the face's loop in `loops`. The loop turns counter-clockwise as seen
+    /// from in front of the plane.
     pub loop_start: u32,
-    /// The start of its triangles in `triangles`.
+    /// The index of the face's first entry in `triangles`.
     pub triangles_start: u32,
-    /// The cells in front of the plane and behind; `NONE` outside of the box.
+    /// The numbers of the cells in front of the plane and behind the plane; `NONE` outside of the box.
     pub cells: [u32; 2],
 }
 
@@ -48,80 +53,83 @@ pub struct FaceRecord {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct CellRecord {
-    /// The tetrahedron that it is a part of.
+    /// The number of the tetrahedron that contains the cell.
     pub tetrahedron: u32,
-    /// The start of its faces in `cell_faces`.
+    /// The index of the cell's first entry in `cell_faces`.
     pub faces_start: u32,
 }
 
-/// How cells came about.
+/// Statistics about the construction of cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Signs of determinants, and those that took integers.
+pub struct CellCounts {
+    /// The number of all exact decisions, and the number of decisions that needed integers.
     pub decisions: Decisions,
-    /// Triangles that were faces of tetrahedra.
+    /// The number of triangles that equal faces of tetrahedra.
     pub whole: u32,
-    /// Pairs of a tetrahedron and a triangle that passes through its inside, or nearly.
+    /// The number of pairs of a tetrahedron and a triangle that may pass through the inside of the
+    /// tetrahedron.
     pub meetings: u64,
-    /// Tetrahedra that were cut.
+    /// The number of tetrahedra that were cut.
     pub cut: u32,
 }
 
-/// The lists of [`Cells`], wherever they are.
+/// Borrowed lists of [`Cells`], for example from a mapped file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CellsView<'a> {
-    /// As [`Cells::points`].
+    /// The points of the surfaces, then the corners of the box ([`Cells::points`]).
     pub points: &'a [[f32; 3]],
-    /// As [`Cells::planes`].
+    /// The planes of triangles and faces ([`Cells::planes`]).
     pub planes: &'a [Plane],
-    /// As [`Cells::meets`].
+    /// The vertices that are intersections of three planes ([`Cells::meets`]).
     pub meets: &'a [[u32; 3]],
-    /// As [`Cells::rounded`].
+    /// The positions of the vertices in `meets` ([`Cells::rounded`]).
     pub rounded: &'a [[f64; 3]],
-    /// As [`Cells::faces`].
+    /// The faces, and one more entry ([`Cells::faces`]).
     pub faces: &'a [FaceRecord],
-    /// As [`Cells::loops`].
+    /// The vertices of the faces' loops ([`Cells::loops`]).
     pub loops: &'a [u32],
-    /// As [`Cells::triangles`].
+    /// The triangles that cover the faces ([`Cells::triangles`]).
     pub triangles: &'a [u32],
-    /// As [`Cells::cells`].
+    /// The cells, and one more entry ([`Cells::cells`]).
     pub cells: &'a [CellRecord],
-    /// As [`Cells::cell_faces`].
+    /// The faces of the cells ([`Cells::cell_faces`]).
     pub cell_faces: &'a [u32],
 }
 
 impl<'a> CellsView<'a> {
-    /// The number of faces.
+    /// Returns the number of faces.
     pub fn face_count(&self) -> usize {
         self.faces.len().saturating_sub(1)
     }
 
-    /// The number of cells.
+    /// Returns the number of cells.
     pub fn cell_count(&self) -> usize {
         self.cells.len().saturating_sub(1)
     }
 
-    /// The vertices of a face, which must be below [`Self::face_count`].
+    /// Returns the vertices of the face with this index, which must be below [`Self::face_count`].
     pub fn face_loop(&self, face: usize) -> &'a [u32] {
         &self.loops[self.faces[face].loop_start as usize..self.faces[face + 1].loop_start as usize]
     }
 
-    /// The triangles that cover a face, which must be below [`Self::face_count`].
+    /// Returns the ids of the triangles that cover the face with this index, which must be below
+    /// [`Self::face_count`].
     pub fn face_triangles(&self, face: usize) -> &'a [u32] {
         let range = self.faces[face].triangles_start as usize
             ..self.faces[face + 1].triangles_start as usize;
         &self.triangles[range]
     }
 
-    /// The faces of a cell, which must be below [`Self::cell_count`]: face times two, plus one where the cell
-    /// is behind.
+    /// Returns the faces of the cell with this index, which must be below [`Self::cell_count`].
+    ///
+    /// An entry is twice the index of the face, plus 1 if the cell is behind the face.
     pub fn faces_of(&self, cell: usize) -> &'a [u32] {
         let range =
             self.cells[cell].faces_start as usize..self.cells[cell + 1].faces_start as usize;
         &self.cell_faces[range]
     }
 
-    /// A vertex in doubles; see `rounded`.
+    /// Returns the position of a vertex in doubles, with the error of [`Cells::rounded`].
     pub fn place(&self, vertex: u32) -> [f64; 3] {
         match self.points.get(vertex as usize) {
             Some(point) => point.map(f64::from),
@@ -131,7 +139,7 @@ impl<'a> CellsView<'a> {
 }
 
 impl Cells {
-    /// The lists.
+    /// Returns borrowed views of the lists.
     pub fn view(&self) -> CellsView<'_> {
         CellsView {
             points: &self.points,
@@ -146,7 +154,9 @@ impl Cells {
         }
     }
 
-    /// Ends the lists and gathers the faces of the cells; `tetrahedra` are those of the cells in order.
+    /// Adds the list of cells and the list of their faces, and ends the list of faces.
+    ///
+    /// `tetrahedra` contains the number of each cell's tetrahedron, in the order of cells.
     pub(crate) fn finish(&mut self, tetrahedra: impl Iterator<Item = u32>) {
         self.cells = tetrahedra
             .map(|tetrahedron| CellRecord {

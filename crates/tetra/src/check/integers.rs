@@ -1,4 +1,4 @@
-//! Planes and vertices in integers of any size, for the checker alone.
+//! Planes and vertices in integers of any size, for the checker only.
 
 use std::rc::Rc;
 
@@ -10,10 +10,10 @@ use super::fault::Fault;
 use super::residues::{Field, ResiduePlace};
 use crate::cells::{CellsView, Plane};
 
-/// Points as integers, all in the same unit.
+/// The points of cells as integers, in units of one power of two, with the planes and vertices of the cells.
 pub(crate) struct Integers<'a> {
     cells: CellsView<'a>,
-    /// The unit is two to this power.
+    /// The exponent of the unit: the unit is 2 to the power of `least`.
     pub least: i32,
 }
 
@@ -43,14 +43,15 @@ impl<'a> Integers<'a> {
         })
     }
 
-    /// The plane through three points: normal and offset.
+    /// Computes the plane through three points: normal and offset. The plane's value at a point p is
+    /// normal · p + offset.
     pub fn through(&self, corners: [u32; 3]) -> [IBig; 4] {
         let [a, b, c] = corners.map(|p| self.point(p));
         let third = std::array::from_fn(|i| &c[i] - &a[i]);
         spanned(&a, &std::array::from_fn(|i| &b[i] - &a[i]), &third)
     }
 
-    /// The plane through two points along an axis.
+    /// Computes the plane through two points that is parallel to an axis, as normal and offset.
     pub fn along(&self, [a, b]: [u32; 2], axis: usize) -> [IBig; 4] {
         let [a, b] = [a, b].map(|p| self.point(p));
         let unit = std::array::from_fn(|i| IBig::from(u8::from(i == axis)));
@@ -64,8 +65,9 @@ impl<'a> Integers<'a> {
         }
     }
 
-    /// A vertex in homogeneous coordinates, the last positive. `None` where its planes have no single point
-    /// in common.
+    /// Computes a vertex in homogeneous coordinates. The last coordinate is positive.
+    ///
+    /// Returns `None` if the planes of the vertex do not meet in a single point.
     pub fn vertex(&self, vertex: u32) -> Option<[IBig; 4]> {
         let n = self.cells.points.len();
         if (vertex as usize) < n {
@@ -74,7 +76,7 @@ impl<'a> Integers<'a> {
         }
         let planes = self.cells.meets[vertex as usize - n];
         let [p, q, r] = planes.map(|p| self.plane(self.cells.planes[p as usize]));
-        // Cramer's rule, with the offsets on the other side.
+        // Cramer's rule, with the offsets on the other side of the equations.
         let column = |i: usize| [&p[i], &q[i], &r[i]];
         let minus = [-&p[3], -&q[3], -&r[3]];
         let right = [&minus[0], &minus[1], &minus[2]];
@@ -90,19 +92,19 @@ impl<'a> Integers<'a> {
     }
 }
 
-/// Vertices and planes that are known already: cells that are near each other share them.
-pub(crate) struct Known<'a> {
-    of: &'a Integers<'a>,
+/// A cache of vertices and planes, because neighbouring cells share vertices and planes.
+pub(crate) struct KnownGeometry<'a> {
+    integers: &'a Integers<'a>,
     vertices: FxHashMap<u32, Rc<[IBig; 4]>>,
     planes: FxHashMap<u32, Rc<[IBig; 4]>>,
     places: FxHashMap<u32, ResiduePlace>,
 }
 
-impl<'a> Known<'a> {
-    pub fn new(of: &'a Integers<'a>) -> Self {
+impl<'a> KnownGeometry<'a> {
+    pub fn new(integers: &'a Integers<'a>) -> Self {
         let (vertices, planes, places) = Default::default();
         Self {
-            of,
+            integers,
             vertices,
             planes,
             places,
@@ -113,13 +115,18 @@ impl<'a> Known<'a> {
         if let Some(known) = self.vertices.get(&vertex) {
             return Ok(known.clone());
         }
-        let made = Rc::new(self.of.vertex(vertex).ok_or(Fault::Vertex(vertex))?);
+        let made = Rc::new(self.integers.vertex(vertex).ok_or(Fault::Vertex(vertex))?);
         self.vertices.insert(vertex, made.clone());
         Ok(made)
     }
 
     pub fn plane(&mut self, plane: u32) -> Rc<[IBig; 4]> {
-        let made = || Rc::new(self.of.plane(self.of.cells.planes[plane as usize]));
+        let made = || {
+            Rc::new(
+                self.integers
+                    .plane(self.integers.cells.planes[plane as usize]),
+            )
+        };
         self.planes.entry(plane).or_insert_with(made).clone()
     }
 
@@ -140,23 +147,26 @@ fn spanned(at: &[IBig; 3], d: &[IBig; 3], e: &[IBig; 3]) -> [IBig; 4] {
     [x, y, z, offset]
 }
 
-/// The determinant with three columns.
+/// Computes the determinant with three columns.
 pub(crate) fn det3(a: [&IBig; 3], b: [&IBig; 3], c: [&IBig; 3]) -> IBig {
     a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
         + a[2] * (b[0] * c[1] - b[1] * c[0])
 }
 
-/// The sign of a plane at a vertex whose last coordinate is positive.
+/// Returns the side of a plane on which a vertex lies: 1 in front, 0 on the plane, −1 behind. The last
+/// homogeneous coordinate of the vertex must be positive.
 pub(crate) fn side(plane: &[IBig; 4], v: &[IBig; 4]) -> i8 {
     sign(&(&plane[0] * &v[0] + &plane[1] * &v[1] + &plane[2] * &v[2] + &plane[3] * &v[3]))
 }
 
-/// 1, 0 or −1.
+/// Returns the sign of a number: 1, 0 or −1.
 pub(crate) fn sign(x: &IBig) -> i8 {
     x.cmp(&IBig::ZERO) as i8
 }
 
-/// The axis along which a plane's normal is longest, and the sign of the normal there: 0 without a normal.
+/// Returns the axis with the largest component of a plane's normal, and the sign of this component.
+///
+/// The sign is 0 if the normal is zero.
 pub(crate) fn main_axis(plane: &[IBig; 4]) -> (usize, i8) {
     let size = |i: usize| {
         if sign(&plane[i]) < 0 {

@@ -1,17 +1,26 @@
-//! Whether cells are what they say, by other code than made them, with integers alone.
+//! The checker of cells, which uses integers only and no code of the construction.
 //!
-//! What is checked with exact signs: each vertex is near its place in doubles; each face lies in its plane,
-//! is convex and turns counter-clockwise; all vertices of a cell are on its side of each of its faces, some
-//! off it; each face is listed once in front of one cell and once behind another, but for those on the box;
-//! each face that names a triangle lies in it; from cell to cell the number of solids changes by those that
-//! begin or end between them. What is checked modulo two primes: the edges of a cell's faces cancel on each
-//! line; volumes add up to the box's, and the areas of a triangle's faces to the triangle's.
+//! Exact signs decide the following conditions:
+//! - Each vertex is near its position in doubles.
+//! - Each face lies in its plane, is convex and turns counter-clockwise.
+//! - All vertices of a cell are on the cell's side of each of its faces, and some are off the face.
+//! - The cell in front of a face and the cell behind the face list the face once. A face on the border of the
+//!   box has one cell.
+//! - Each face that lists a triangle lies in the triangle.
+//! - From a cell to its neighbour, the number of solids around the cell changes by the number of solids that
+//!   begin or end in the common face.
 //!
-//! What follows. The faces of a cell are a closed surface in the border of the convex body K that their
-//! planes bound, so they go k times around K, and k ≥ 1 by their turn. Summed over all cells, inner faces
-//! cancel, so the number of times that a place in the box is inside of cells is the same everywhere; by the
-//! volumes it is 1. So the cells are convex, and fill the box without overlap. Faces of one plane then do not
-//! overlap either, so a triangle whose faces lie in it and have its area is covered once, and no triangle
+//! Residues modulo two primes decide the following conditions:
+//! - The edges of a cell's faces cancel on each line.
+//! - The volumes of the cells add up to the volume of the box.
+//! - The areas of a triangle's faces add up to the area of the triangle.
+//!
+//! These conditions imply that the cells are right. The faces of a cell are a closed surface in the border of
+//! the convex body K that their planes bound. So the faces cover the border of K k times, and k ≥ 1 because
+//! each face turns counter-clockwise. Summed over all cells, inner faces cancel. So every point in the box is
+//! inside the same number of cells, and the volumes show that this number is 1. So the cells are convex and
+//! fill the box without overlap. Then faces of one plane do not overlap either. If the faces of a triangle
+//! lie in the triangle and have the same total area, they therefore cover the triangle once, and no triangle
 //! passes through the inside of a cell.
 
 mod fault;
@@ -32,13 +41,13 @@ use crate::file::Contents;
 use crate::surfaces::{CLOSED, SurfacesView};
 
 pub use fault::Fault;
-use integers::{Integers, Known, det3, main_axis, side, sign};
-use residues::{Both, Field, ResiduePlace};
+use integers::{Integers, KnownGeometry, det3, main_axis, side, sign};
+use residues::{Field, ResiduePair, ResiduePlace};
 
-/// Checks the cells of a file against its surfaces, and the solids around cells.
+/// Checks the cells of a file against its surfaces, and the numbers of solids around cells.
 ///
 /// # Errors
-/// The first [`Fault`].
+/// The first [`Fault`] if the cells or the numbers of solids are faulty.
 pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
     let Contents {
         cells,
@@ -64,12 +73,12 @@ pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
         }
     })?;
     in_parts(cells.meets.len(), |part| {
-        let mut known = Known::new(&checker.integers);
+        let mut known = KnownGeometry::new(&checker.integers);
         part.into_iter()
             .try_for_each(|i| checker.place(i, &mut known))
     })?;
     in_parts(cells.face_count(), |part| {
-        let mut known = Known::new(&checker.integers);
+        let mut known = KnownGeometry::new(&checker.integers);
         part.into_iter()
             .try_for_each(|i| checker.face(i as u32, &mut known))
     })?;
@@ -77,21 +86,23 @@ pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
         checker.solids(i as u32, windings)
     })?;
     let volumes = in_parts(cells.cell_count(), |part| {
-        let mut known = Known::new(&checker.integers);
-        part.into_iter().try_fold(Both::default(), |sum, i| {
+        let mut known = KnownGeometry::new(&checker.integers);
+        part.into_iter().try_fold(ResiduePair::default(), |sum, i| {
             Ok(checker.field.add(sum, checker.cell(i as u32, &mut known)?))
         })
     })?;
     let sum = volumes
         .into_iter()
-        .fold(Both::default(), |sum, part| checker.field.add(sum, part));
+        .fold(ResiduePair::default(), |sum, part| {
+            checker.field.add(sum, part)
+        });
     if sum != checker.box_volume() {
         return Err(Fault::Volume);
     }
     checker.triangles()
 }
 
-/// Runs a check on all indices, and returns the fault of the least.
+/// Runs a check on all indices, and returns the fault at the smallest index with a fault.
 fn first(
     indices: impl IndexedParallelIterator<Item = usize>,
     check: impl Fn(usize) -> Result<(), Fault> + Sync + Send,
@@ -102,10 +113,13 @@ fn first(
         .map_or(Ok(()), Err)
 }
 
-/// Numbers that are checked together. Neighbours in the lists are neighbours in space and share vertices.
+/// Number of consecutive list entries that one thread checks with one cache. Entries near each other in a
+/// list share vertices.
 const PART: usize = 4096;
 
-/// Runs a check on parts of all indices, and returns what each found, or the fault of the first.
+/// Runs a check on consecutive parts of all indices.
+///
+/// Returns the results of all parts, or the fault of the first faulty part.
 fn in_parts<T: Send>(
     count: usize,
     check: impl Fn(std::ops::Range<usize>) -> Result<T, Fault> + Sync + Send,
@@ -122,14 +136,16 @@ struct Checker<'a> {
     surfaces: SurfacesView<'a>,
     integers: Integers<'a>,
     field: Field,
-    /// A point of the input at the least corner of the box, and one at the greatest.
+    /// The numbers of the points at the corners of the box with the smallest and the largest coordinates.
     bounds: [u32; 2],
 }
 
 impl Checker<'_> {
-    /// The place of a vertex in doubles is as near to it as it is said to be: 2⁻⁴⁴ of the power of two above
-    /// the box's greatest side and one unit in the last place, in each coordinate.
-    fn place(&self, meet: usize, known: &mut Known<'_>) -> Result<(), Fault> {
+    /// Checks that the position of a vertex in doubles is near the exact vertex.
+    ///
+    /// In each coordinate the distance must be at most 2⁻⁴⁴ times the power of two above the box's largest
+    /// side, plus one unit in the last place.
+    fn place(&self, meet: usize, known: &mut KnownGeometry<'_>) -> Result<(), Fault> {
         let vertex = (self.cells.points.len() + meet) as u32;
         let exact = known.vertex(vertex)?;
         let [min, max] = self.bounds.map(|p| self.integers.point(p));
@@ -138,7 +154,7 @@ impl Checker<'_> {
         let share = greatest.bit_len() as i32 + least - 44;
         for (k, place) in self.cells.rounded[meet].into_iter().enumerate() {
             let (mantissa, exponent) = dyadic(place);
-            // The unit in the last place; that of a subnormal number is the least there is.
+            // The unit in the last place. A subnormal number has the smallest unit that exists.
             let last = (((place.to_bits() >> 52 & 0x7ff) as i32).max(1)) - 1075;
             let unit = least
                 .min(share)
@@ -159,7 +175,7 @@ impl Checker<'_> {
         Ok(())
     }
 
-    fn face(&self, face: u32, known: &mut Known<'_>) -> Result<(), Fault> {
+    fn face(&self, face: u32, known: &mut KnownGeometry<'_>) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
         let numbers = self.cells.face_loop(face as usize);
         let loops = numbers
@@ -200,7 +216,7 @@ impl Checker<'_> {
             .try_for_each(|id| self.covered(face, *id, &loops))
     }
 
-    /// A face with one cell is in one of the six sides of the box.
+    /// Checks that a face with one cell is in one of the six sides of the box.
     fn border(&self, face: u32, loops: &[Rc<[IBig; 4]>]) -> Result<(), Fault> {
         let bounds = self.bounds.map(|p| self.integers.point(p));
         let is_on =
@@ -213,7 +229,7 @@ impl Checker<'_> {
         }
     }
 
-    /// A face that names a triangle is in its plane and within its edges.
+    /// Checks that a face that lists a triangle is in the triangle's plane and within the triangle's edges.
     fn covered(&self, face: u32, triangle: u32, loops: &[Rc<[IBig; 4]>]) -> Result<(), Fault> {
         let corners = self.surfaces.triangles[triangle as usize];
         let plane = self.integers.through(corners);
@@ -235,8 +251,10 @@ impl Checker<'_> {
         }
     }
 
-    /// The solids that hold the two cells of a face differ by those that begin or end in it; outside of the
-    /// box there are none.
+    /// Checks the numbers of solids around the two cells of a face.
+    ///
+    /// The two numbers must differ by the number of solids that begin or end in the face. Outside of the box,
+    /// the number of solids is 0.
     fn solids(&self, face: u32, windings: &[i32]) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
         let [front, behind] = record.cells.map(|cell| match cell {
@@ -264,8 +282,9 @@ impl Checker<'_> {
         }
     }
 
-    /// Six times the volume of a cell, after all checks of its signs.
-    fn cell(&self, cell: u32, known: &mut Known<'_>) -> Result<Both, Fault> {
+    /// Checks that a cell is convex, has a volume, and that its faces close. Returns six times the cell's
+    /// volume, modulo the two primes.
+    fn cell(&self, cell: u32, known: &mut KnownGeometry<'_>) -> Result<ResiduePair, Fault> {
         let faces = self.cells.faces_of(cell as usize);
         let mut numbers: Vec<u32> = faces
             .iter()
@@ -306,7 +325,7 @@ impl Checker<'_> {
                 .binary_search(v)
                 .map_or(ResiduePlace::default(), |at| places[at])
         };
-        let mut volume = Both::default();
+        let mut volume = ResiduePair::default();
         let mut edges: Vec<(u32, u32)> = Vec::new();
         for f in faces {
             let numbers = self.cells.face_loop((f / 2) as usize);
@@ -314,7 +333,7 @@ impl Checker<'_> {
             let from = self.field.difference(&loops[0], &places[0]);
             let part = self.field.dot(&self.field.area(&loops), &from);
             let is_behind = f & 1 == 1;
-            // Area vectors point to the front, away from cells behind.
+            // The area vector of a face points to the front of the face, away from the cell behind it.
             volume = if is_behind {
                 self.field.add(volume, part)
             } else {
@@ -333,8 +352,9 @@ impl Checker<'_> {
         }
     }
 
-    /// Whether directed edges cancel on each line. On a line they do where each place ends as many as it
-    /// begins.
+    /// Returns true if directed edges, given as pairs of vertex numbers, cancel on each line.
+    ///
+    /// Edges on a line cancel if each position is the end of as many edges as it is the start of.
     fn closes(&self, edges: &[(u32, u32)], place: impl Fn(&u32) -> ResiduePlace) -> bool {
         let mut net: FxHashMap<(u32, u32), i32> = FxHashMap::default();
         for (a, b) in edges {
@@ -353,7 +373,7 @@ impl Checker<'_> {
         ends.into_values().all(|n| n == 0)
     }
 
-    fn box_volume(&self) -> Both {
+    fn box_volume(&self) -> ResiduePair {
         let [min, max] = self.bounds.map(|p| self.integers.point(p));
         let six = self.field.integer(&IBig::from(6));
         (0..3).fold(six, |v, i| {
@@ -361,7 +381,7 @@ impl Checker<'_> {
         })
     }
 
-    /// The areas of the faces of each triangle, seen along an axis, add up to its own.
+    /// Checks that the projected face areas of each triangle add up to the triangle's projected area.
     fn triangles(&self) -> Result<(), Fault> {
         let mut faces: Vec<(u32, u32)> = (0..self.cells.face_count() as u32)
             .flat_map(|f| {
@@ -372,13 +392,13 @@ impl Checker<'_> {
             })
             .collect();
         faces.par_sort_unstable();
-        let check = |id: usize, known: &mut Known<'_>| {
+        let check = |id: usize, known: &mut KnownGeometry<'_>| {
             let corners = self.surfaces.triangles[id];
             let plane = self.integers.through(corners);
             let (axis, up) = main_axis(&plane);
             let start = faces.partition_point(|(t, _)| (*t as usize) < id);
             let own = faces[start..].iter().take_while(|(t, _)| *t as usize == id);
-            let mut sum = Both::default();
+            let mut sum = ResiduePair::default();
             for (_, face) in own {
                 let record = self.cells.faces[*face as usize];
                 let up = sign(
@@ -397,7 +417,7 @@ impl Checker<'_> {
                 };
             }
             let whole = self.field.integer(&plane[axis]);
-            // A triangle without area, whose normal is zero, has no faces.
+            // A triangle without area has a zero normal and no faces.
             let is_whole = if up >= 0 {
                 sum == whole
             } else {
@@ -410,7 +430,7 @@ impl Checker<'_> {
             }
         };
         in_parts(self.surfaces.triangles.len(), |part| {
-            let mut known = Known::new(&self.integers);
+            let mut known = KnownGeometry::new(&self.integers);
             part.into_iter().try_for_each(|id| check(id, &mut known))
         })?;
         Ok(())

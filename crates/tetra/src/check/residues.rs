@@ -1,25 +1,26 @@
-//! Places modulo two primes, for sums of quotients that would be too long as integers.
+//! Positions modulo two primes, for sums of quotients that would be too long as integers.
 //!
-//! The primes have 61 bits and are taken from the scene's digest. Two different quotients of integers of n
-//! bits agree modulo such a prime only where it divides their difference, which at most n / 30 primes do, of
-//! the some 2⁵⁴ there are; so sums that agree modulo both are equal but for an input made for this digest.
+//! The primes have 61 bits and are derived from the scene's digest. Two different quotients of integers of n
+//! bits agree modulo such a prime only if the prime divides their difference. At most n / 30 of about 2⁵⁴
+//! such primes do. So sums that agree modulo both primes are equal, unless an input was constructed for this
+//! digest.
 
 use dashu_int::IBig;
 use dashu_int::ops::DivRem;
 
 /// A number modulo the two primes.
-pub(crate) type Both = [u64; 2];
-/// A place modulo the two primes.
-pub(crate) type ResiduePlace = [Both; 3];
+pub(crate) type ResiduePair = [u64; 2];
+/// The x, y and z coordinate of a position, or of a vector, modulo the two primes.
+pub(crate) type ResiduePlace = [ResiduePair; 3];
 
 /// Arithmetic modulo two primes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Field {
-    primes: Both,
+    primes: ResiduePair,
 }
 
 impl Field {
-    /// The primes that follow two numbers in the digest.
+    /// Creates the field of two primes: the first primes that follow two numbers in the digest.
     pub fn new(digest: &[u8; 32]) -> Self {
         let start = |from: usize| {
             let bytes = std::array::from_fn(|i| digest[from + i]);
@@ -45,24 +46,24 @@ impl Field {
         }
     }
 
-    pub fn add(&self, a: Both, b: Both) -> Both {
+    pub fn add(&self, a: ResiduePair, b: ResiduePair) -> ResiduePair {
         std::array::from_fn(|i| (a[i] + b[i]) % self.primes[i])
     }
 
-    pub fn sub(&self, a: Both, b: Both) -> Both {
+    pub fn sub(&self, a: ResiduePair, b: ResiduePair) -> ResiduePair {
         std::array::from_fn(|i| (a[i] + self.primes[i] - b[i]) % self.primes[i])
     }
 
-    pub fn mul(&self, a: Both, b: Both) -> Both {
+    pub fn mul(&self, a: ResiduePair, b: ResiduePair) -> ResiduePair {
         std::array::from_fn(|i| mul(a[i], b[i], self.primes[i]))
     }
 
-    /// The inverse; of 0 it is 0.
-    pub fn inverse(&self, a: Both) -> Both {
+    /// Computes the multiplicative inverse. The inverse of 0 is 0.
+    pub fn inverse(&self, a: ResiduePair) -> ResiduePair {
         std::array::from_fn(|i| pow(a[i], self.primes[i] - 2, self.primes[i]))
     }
 
-    pub fn integer(&self, x: &IBig) -> Both {
+    pub fn integer(&self, x: &IBig) -> ResiduePair {
         std::array::from_fn(|i| {
             let prime = IBig::from(self.primes[i]);
             let (_, rest) = x.div_rem(&prime);
@@ -71,12 +72,12 @@ impl Field {
             } else {
                 rest
             };
-            // A rest of a division by 61 bits has no more.
+            // The remainder of a division by a 61-bit prime fits in 61 bits.
             u64::try_from(rest).unwrap_or_default()
         })
     }
 
-    /// A vertex in homogeneous coordinates.
+    /// Computes the residues of x/w, y/w and z/w for a vertex in homogeneous coordinates.
     pub fn place(&self, [x, y, z, w]: &[IBig; 4]) -> ResiduePlace {
         let by = self.inverse(self.integer(w));
         [x, y, z].map(|c| self.mul(self.integer(c), by))
@@ -91,14 +92,14 @@ impl Field {
         [minor(1, 2), minor(2, 0), minor(0, 1)]
     }
 
-    pub fn dot(&self, a: &ResiduePlace, b: &ResiduePlace) -> Both {
+    pub fn dot(&self, a: &ResiduePlace, b: &ResiduePlace) -> ResiduePair {
         self.add(
             self.add(self.mul(a[0], b[0]), self.mul(a[1], b[1])),
             self.mul(a[2], b[2]),
         )
     }
 
-    /// Twice the area of a loop in its plane as a vector.
+    /// Computes twice the area vector of a planar loop of positions.
     pub fn area(&self, places: &[ResiduePlace]) -> ResiduePlace {
         let mut sum = ResiduePlace::default();
         for i in 1..places.len().saturating_sub(1) {
@@ -110,10 +111,13 @@ impl Field {
         sum
     }
 
-    /// A name of the line through two places: its direction and moment, scaled to be the same for all pairs.
+    /// Computes an identifier of the line through two positions.
+    ///
+    /// The identifier is the line's direction and moment, scaled so that all pairs of positions on the line
+    /// have the same identifier.
     pub fn line(&self, a: &ResiduePlace, b: &ResiduePlace) -> [ResiduePlace; 2] {
         let d = self.difference(b, a);
-        let first: Both =
+        let first: ResiduePair =
             std::array::from_fn(|p| d.iter().map(|c| c[p]).find(|c| *c != 0).unwrap_or_default());
         let by = self.inverse(first);
         let direction = d.map(|c| self.mul(c, by));
@@ -137,7 +141,8 @@ fn pow(mut base: u64, mut exponent: u64, prime: u64) -> u64 {
     result
 }
 
-/// Miller's test with bases that decide every number of 64 bits (Sinclair, 2011).
+/// Returns true if `n` is prime, by Miller's test with bases that decide every number of 64 bits (Sinclair,
+/// 2011).
 fn is_prime(n: u64) -> bool {
     if [3u64, 5, 7, 11, 13].iter().any(|p| n.is_multiple_of(*p)) {
         return false;
@@ -162,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_primes_are_primes() {
+    fn field_uses_distinct_primes() {
         assert!(is_prime((1 << 61) - 1) && is_prime(1_000_000_007));
         assert!(!is_prime((1 << 59) - 1) && !is_prime(1_000_000_007 * 1_000_000_009));
         let field = Field::new(&[7; 32]);

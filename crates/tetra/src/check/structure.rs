@@ -1,10 +1,10 @@
-//! That every number in the lists names something, and that faces and cells list each other.
+//! Checks that all indices are in range, and that faces and cells list each other.
 
 use super::fault::Fault;
 use crate::cells::{CellsView, NONE, Plane};
 use crate::surfaces::SurfacesView;
 
-/// Checks all lists.
+/// Checks all indices in the lists of the cells, and that faces and cells list each other.
 pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<(), Fault> {
     let n = surfaces.points.len();
     if cells.points.len() != n + 8 || cells.points[..n] != surfaces.points[..] || !is_box(cells, n)
@@ -22,7 +22,7 @@ pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<
         let is_there = |p: u32| (p as usize) < points;
         is_there(a) && is_there(b) && (is_there(c) || (Plane::AXIS..Plane::AXIS + 3).contains(&c))
     })?;
-    all("meets", cells.meets.len(), &|i| {
+    all("vertices", cells.meets.len(), &|i| {
         let meet = cells.meets[i];
         meet.is_sorted() && meet.iter().all(|p| (*p as usize) < cells.planes.len())
     })?;
@@ -56,10 +56,10 @@ pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<
             index: faces,
         });
     }
-    all("loops", cells.loops.len(), &|i| {
+    all("vertices of faces", cells.loops.len(), &|i| {
         (cells.loops[i] as usize) < points + cells.meets.len()
     })?;
-    all("triangles", cells.triangles.len(), &|i| {
+    all("triangles of faces", cells.triangles.len(), &|i| {
         (cells.triangles[i] as usize) < surfaces.triangles.len()
     })?;
     all("faces", faces, &|i| {
@@ -69,7 +69,7 @@ pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<
         let least = cells.cells[i].faces_start.checked_add(4);
         least.is_some_and(|least| least <= cells.cells[i + 1].faces_start)
     })?;
-    // The parts of a tetrahedron come together, in the order of tetrahedra.
+    // The cells of one tetrahedron are consecutive, in the order of the tetrahedra.
     all("tetrahedra of cells", count + 1, &|i| {
         let own = cells.cells[i].tetrahedron;
         match i
@@ -97,7 +97,7 @@ pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<
     sides(cells, faces, count)
 }
 
-/// Each face is listed once by each of its cells, on the side it names it.
+/// Checks that each cell of a face lists the face once, on the same side on which the face lists the cell.
 fn sides(cells: CellsView<'_>, faces: usize, count: usize) -> Result<(), Fault> {
     let mut listed = vec![0u8; faces];
     for cell in 0..count {
@@ -120,10 +120,10 @@ fn sides(cells: CellsView<'_>, faces: usize, count: usize) -> Result<(), Fault> 
     Ok(())
 }
 
-/// Points of the input at the least and the greatest corner of the box.
+/// Returns the numbers of the points at the corners of the box with the smallest and the largest coordinates.
 pub(super) fn bounds(cells: CellsView<'_>) -> [u32; 2] {
     let n = cells.points.len() - 8;
-    // The corner that no other is below, or above, in any coordinate.
+    // The corner with the smallest, or the largest, value in every coordinate.
     let corner = |is_ordered: fn(&f32, &f32) -> bool| {
         let is_extreme = |i: &usize| {
             let own = &cells.points[*i];
@@ -136,7 +136,9 @@ pub(super) fn bounds(cells: CellsView<'_>) -> [u32; 2] {
     [corner(|a, b| a <= b), corner(|a, b| a >= b)]
 }
 
-/// The last eight points are the corners of a box with a volume that holds the others.
+/// Returns true if the last eight points are the corners of a box that contains all other points.
+///
+/// The box must have a volume.
 fn is_box(cells: CellsView<'_>, n: usize) -> bool {
     let corners = &cells.points[n..];
     let fold = |i: usize, pick: fn(f32, f32) -> f32, start: f32| {

@@ -1,69 +1,78 @@
-//! The Delaunay tetrahedra of points and of a box around them.
+//! Construction of the Delaunay tetrahedra of points and of a box around these points.
 
 use super::curve::{Curve, insertion_order};
 use super::enclosure::corners;
 use super::error::DelaunayError;
 use super::mesh::{Cell, MOST_POINTS, Mesh, NONE};
 use super::predicates::Predicates;
-use crate::watch::{Quiet, Stage, Watch};
+use crate::watch::{BuildObserver, BuildStage, Quiet};
 
-/// Memory that the tetrahedra of a scene's points take: about 8 a point, with 110 bytes each.
+/// Expected memory per point, in bytes: about 8 tetrahedra with 110 bytes each.
 const BYTES_A_POINT: u64 = 880;
-/// Points between two calls that tell how far it is.
+/// Number of inserted points between two progress reports.
 const TELL_EVERY: u64 = 4096;
 
-/// Delaunay tetrahedra of distinct points and a box around them. They fill the box, and none is flat.
+/// Delaunay tetrahedra of distinct points and a box around the points.
 ///
-/// The result depends on the points and their numbers alone. Where five or more points lie on one sphere and
-/// several choices are Delaunay, the points are lifted by infinitely small heights, larger for smaller
-/// numbers, so the choices agree with each other and the tetrahedra have a front-to-back order from every
-/// viewpoint.
+/// The tetrahedra fill the box, and each has a volume. The result depends only on the points and their
+/// numbers. If five or more points lie on one sphere, several choices are Delaunay. Then the points are
+/// lifted by infinitely small heights, which are larger for smaller numbers. So the choices agree with each
+/// other, and the tetrahedra have a front-to-back order from every viewpoint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Delaunay {
-    /// The given points in their order, then the 8 corners of the box: corner k has the upper x if bit 0 of k
-    /// is set, the upper y for bit 1, the upper z for bit 2.
+    /// The given points in their order, then the 8 corners of the box.
+    ///
+    /// Corner k has the upper x if bit 0 of k is set, the upper y if bit 1 is set, and the upper z if bit 2
+    /// is set.
     pub points: Vec<[f32; 3]>,
-    /// The corners a, b, c, d of each tetrahedron: numbers of points with (b − a) × (c − a) · (d − a) > 0.
-    /// The first two are the smallest, in ascending order. Tetrahedra are in the order of their centres
-    /// along a Hilbert curve.
+    /// The corners a, b, c, d of each tetrahedron, as point numbers.
+    ///
+    /// The corners satisfy (b − a) × (c − a) · (d − a) > 0.
+    ///
+    /// The first two corners are the smallest of the four numbers, in ascending order. Tetrahedra are in the
+    /// order of their centres along a Hilbert curve.
     pub tetrahedra: Vec<[u32; 4]>,
-    /// For each tetrahedron and k the tetrahedron across the face opposite to corner k; [`NONE`] on the
-    /// border of the box.
+    /// The four neighbours of each tetrahedron.
+    ///
+    /// Entry k is the number of the tetrahedron across the face opposite corner k, or [`NONE`] on the border
+    /// of the box.
     pub neighbours: Vec<[u32; 4]>,
 }
 
 impl Delaunay {
-    /// The Delaunay tetrahedra of distinct finite points.
+    /// Computes the Delaunay tetrahedra of distinct finite points.
     ///
-    /// Needs about 110 bytes a tetrahedron while it runs; a scene has 6 to 8 tetrahedra a point, but points
-    /// on two skew curves have about the square of their number.
+    /// The function needs about 110 bytes per tetrahedron while it runs. A scene has 6 to 8 tetrahedra per
+    /// point, but N points on two skew curves have about N² tetrahedra.
     ///
     /// # Errors
     ///
-    /// Points that are not finite or not distinct, that leave no room for the box in `f32`, or that are too
-    /// many.
+    /// [`DelaunayError`] if points are not finite or not distinct, if the box exceeds the range of `f32`, or
+    /// if the points or the tetrahedra are too many for 32-bit numbers.
     pub fn new(points: &[[f32; 3]]) -> Result<Self, DelaunayError> {
         Self::with_seed(points, 0, &Quiet)
     }
 
-    /// [`Self::new`] with somebody who follows it.
+    /// Computes the tetrahedra like [`Self::new`] and reports the progress to an observer.
     ///
     /// # Errors
     ///
-    /// Those of [`Self::new`], and [`DelaunayError::Memory`].
-    pub fn watched(points: &[[f32; 3]], watch: &dyn Watch) -> Result<Self, DelaunayError> {
+    /// The errors of [`Self::new`], and [`DelaunayError::Memory`] if the observer rejects the memory use.
+    pub fn watched(points: &[[f32; 3]], watch: &dyn BuildObserver) -> Result<Self, DelaunayError> {
         Self::with_seed(points, 0, watch)
     }
 
-    /// [`Self::new`] with another order of insertion. The result is the same for every seed: tests show it.
+    /// Computes the tetrahedra like [`Self::watched`], with an insertion order that `seed` determines.
+    ///
+    /// The result is the same for every seed. Tests check this.
     ///
     /// # Errors
     ///
-    /// Those of [`Self::new`].
+    /// The errors of [`Self::watched`].
     pub fn with_seed(
         points: &[[f32; 3]],
         seed: u64,
-        watch: &dyn Watch,
+        watch: &dyn BuildObserver,
     ) -> Result<Self, DelaunayError> {
         if points.len() > MOST_POINTS {
             return Err(DelaunayError::TooManyPoints {
@@ -91,12 +100,12 @@ impl Delaunay {
             let mut mesh = Mesh::of_box(&predicates, points.len() as u32);
             for (done, number) in (0..).zip(order) {
                 if done % TELL_EVERY == 0 {
-                    watch.done(Stage::Points, done, points.len() as u64);
-                    // Points on few curves have far more tetrahedra than others.
+                    watch.done(BuildStage::Points, done, points.len() as u64);
+                    // Points on few curves have far more tetrahedra than other points.
                     watch.needs(mesh.bytes()).map_err(DelaunayError::Memory)?;
                 }
                 mesh.insert(number)
-                    .map_err(|refusal| refusal.of(number, points[number as usize]))?;
+                    .map_err(|refusal| refusal.into_error(number, points[number as usize]))?;
             }
             mesh.into_cells()
         };
@@ -109,7 +118,9 @@ impl Delaunay {
     }
 }
 
-/// The corners and neighbours of the living cells, in an order that depends on the set of cells alone.
+/// Returns the corners and neighbours of the existing cells, sorted along the Hilbert curve.
+///
+/// The order depends only on the set of cells. `alive` is true for the cells that exist.
 fn arranged(
     points: &[[f32; 3]],
     curve: &Curve,
@@ -140,7 +151,7 @@ fn arranged(
         renumbered[*old as usize] = new;
     }
     let tetrahedra = order.iter().map(|(_, old)| corners(*old)).collect();
-    // `NONE` is beyond the end and stays.
+    // `NONE` is beyond the end of the list and remains `NONE`.
     let number = |old: u32| renumbered.get(old as usize).copied().unwrap_or(NONE);
     let neighbours = order
         .iter()
@@ -149,8 +160,9 @@ fn arranged(
     (tetrahedra, neighbours)
 }
 
-/// The cell with its two smallest corners first, ascending. The orientation then tells the order of the
-/// others.
+/// Moves the two smallest corners of the cell to the front, in ascending order.
+///
+/// The positive orientation then determines the order of the other two corners.
 fn ascending(cell: Cell) -> Cell {
     let mut by_corner = [0, 1, 2, 3];
     by_corner.sort_unstable_by_key(|&k| cell.corners[k]);

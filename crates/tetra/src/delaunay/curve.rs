@@ -1,18 +1,20 @@
-//! Orders along a Hilbert curve: of insertion, and of the finished tetrahedra.
+//! Orders along a Hilbert curve: of the insertion of points, and of the finished tetrahedra.
 
 use sightline_numbers::random::mix;
 
-/// Bits of an axis's coordinate on the curve.
+/// Number of bits of a coordinate on the curve.
 const BITS: u32 = 21;
 
-/// A cube of curve cells.
+/// A Hilbert curve through a cube.
 pub(super) struct Curve {
     lower: [f64; 3],
     scale: f64,
 }
 
 impl Curve {
-    /// The curve through the least cube that starts at `lower` and holds `upper`, which is larger.
+    /// Creates the curve through the smallest cube that starts at `lower` and contains `upper`.
+    ///
+    /// At least one coordinate of `upper` must exceed the same coordinate of `lower`.
     pub(super) fn new(lower: [f32; 3], upper: [f32; 3]) -> Self {
         let extent = (0..3)
             .map(|k| f64::from(upper[k]) - f64::from(lower[k]))
@@ -23,13 +25,13 @@ impl Curve {
         }
     }
 
-    /// The place of a point of the cube along the curve.
+    /// Returns the position along the curve, from 0 to 2⁶³ − 1, of a point of the cube.
     ///
-    /// Skilling, "Programming the Hilbert curve", 2004: the coordinates are turned bit by bit into the
-    /// transposed index, whose bits are then interleaved.
+    /// The algorithm is from Skilling, "Programming the Hilbert curve", 2004. The algorithm converts the
+    /// coordinates bit by bit into the transposed index, whose bits are then interleaved.
     pub(super) fn place(&self, x: [f64; 3]) -> u64 {
         let most = (1u32 << BITS) - 1;
-        // The conversion saturates, so rounding cannot leave the cube.
+        // The conversion saturates, so rounding cannot produce a cell outside of the cube.
         let mut c: [u32; 3] =
             std::array::from_fn(|k| (((x[k] - self.lower[k]) * self.scale) as u32).min(most));
         let mut bit = 1 << (BITS - 1);
@@ -61,7 +63,7 @@ impl Curve {
     }
 }
 
-/// The bits of a number of 21 bits, three places apart.
+/// Spreads the bits of a 21-bit number to every third bit.
 fn spread(c: u32) -> u64 {
     let mut x = u64::from(c);
     x = (x | x << 32) & 0x001f_0000_0000_ffff;
@@ -71,11 +73,12 @@ fn spread(c: u32) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
-/// The points' numbers in an order of insertion: rounds of about doubling size, each along the curve.
+/// Returns the point numbers in insertion order: rounds of about doubling size, each along the curve.
 ///
-/// Amenta, Choi and Rote, "Incremental Constructions con BRIO", 2003: a point is in the last round with
-/// probability a half, else in the one before it with probability a half, and so on; so the expected work is
-/// that of a random order, and the curve makes walks short. `seed` chooses the rounds.
+/// The method is from Amenta, Choi and Rote, "Incremental Constructions con BRIO", 2003. A point is in the
+/// last round with probability 1/2, in the previous round with probability 1/4, and so on. So the expected
+/// work equals the expected work of a random order, and the curve makes walks from point to point short.
+/// `seed` determines the rounds.
 pub(super) fn insertion_order(points: &[[f32; 3]], curve: &Curve, seed: u64) -> Vec<u32> {
     let mut keyed: Vec<(u8, u64, u32)> = (0..)
         .zip(points)
@@ -93,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_curve_goes_from_neighbour_to_neighbour() {
+    fn curve_visits_adjacent_cells_in_turn() {
         let curve = Curve::new([0.0; 3], [8.0; 3]);
         let mut cells: Vec<(u64, [i32; 3])> = (0..512)
             .map(|i| [i & 7, i >> 3 & 7, i >> 6])
@@ -107,14 +110,14 @@ mod tests {
     }
 
     #[test]
-    fn rounds_double() {
+    fn insertion_rounds_double() {
         let points: Vec<[f32; 3]> = (0..4096).map(|i| [i as f32, 0.0, 0.0]).collect();
         let curve = Curve::new([-1.0; 3], [4096.0; 3]);
         let order = insertion_order(&points, &curve, 0);
         let mut sorted = order.clone();
         sorted.sort_unstable();
         assert!(sorted.into_iter().eq(0..4096));
-        // Within a round places ascend, so the last descent is where the last round starts.
+        // Within a round positions ascend, so the last descent is the start of the last round.
         let place = |k: u32| curve.place(points[k as usize].map(f64::from));
         let last = order
             .windows(2)

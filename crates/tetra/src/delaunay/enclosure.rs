@@ -2,11 +2,12 @@
 
 use super::error::DelaunayError;
 
-/// The 8 corners of a box whose border no point touches. Corner k has the upper x if bit 0 of k is set, the
-/// upper y for bit 1, the upper z for bit 2.
+/// Returns the 8 corners of a box whose border touches none of the points.
 ///
-/// Corners are multiples of one power of two, about a sixteenth of the largest extent, so they add few bits
-/// to exact arithmetic. Each bound is one or two such steps outside of the points. Points must be finite.
+/// Corner k has the upper x if bit 0 of k is set, the upper y if bit 1 is set, and the upper z if bit 2 is
+/// set. The coordinates of corners are multiples of one power of two, the step, which is about 1/16 of the
+/// largest extent of the points. So the corners add few bits to exact arithmetic. Each side of the box is one
+/// or two steps outside of the points. Points must be finite.
 pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayError> {
     let mut lower = *points.first().unwrap_or(&[0.0; 3]);
     let mut upper = lower;
@@ -26,8 +27,8 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
     let step = step(extent, f64::from(reach));
     let mut bounds = [[0.0f32; 3]; 2];
     for axis in 0..3 {
-        // The step is a power of two and at least a 2⁻²¹th of the reach, so the quotients are exact and below
-        // 2²², and the bounds are integers of at most 23 bits times the step: exact in f32 unless they
+        // The step is a power of two and at least 2⁻²¹ times `reach`. So the quotients are exact and below
+        // 2²². The bounds are integers of at most 23 bits times the step, which are exact in f32 unless they
         // overflow.
         let down = ((f64::from(lower[axis]) / step).floor() - 1.0) * step;
         let up = ((f64::from(upper[axis]) / step).ceil() + 1.0) * step;
@@ -42,19 +43,22 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
     }))
 }
 
-/// The power of two for the corners' grid: the largest that is at most a sixteenth of the extent, or more
-/// where f32 needs it.
+/// Returns the power of two whose multiples are the coordinates of the box corners.
+///
+/// The result is the largest power of two that is at most 1/16 of `extent`, or a larger power if the
+/// precision of f32 requires it. `reach` is the largest magnitude of a coordinate.
 fn step(extent: f64, reach: f64) -> f64 {
     let wanted = floor_power(extent) / 16.0;
-    // 2⁻¹⁴⁹ is the least f32. f64 holds all of these powers.
+    // 2⁻¹⁴⁹ is the smallest positive f32. f64 represents all of these powers.
     let step = wanted
         .max(floor_power(reach) / f64::from(1 << 20))
         .max(f64::from(f32::from_bits(1)));
     if reach == 0.0 { 1.0 } else { step }
 }
 
-/// The largest power of two that is at most x, for x = 0 or x at least 2⁻¹⁴⁹, which f64 holds as a normal
-/// number.
+/// Returns the largest power of two that is at most x, or 0 if x is 0.
+///
+/// Any other x must be at least 2⁻¹⁴⁹, which is a normal number in f64.
 fn floor_power(x: f64) -> f64 {
     f64::from_bits(x.to_bits() & (0x7ff << 52))
 }
@@ -64,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_box_is_strictly_around_and_coarse() {
+    fn box_encloses_points_strictly_with_coarse_corners() {
         let tiny = f32::from_bits(1);
         for points in [
             vec![[0.0; 3]],
@@ -90,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn no_room_is_an_error() {
+    fn rejects_points_at_limit_of_single_precision() {
         let error = corners(&[[f32::MAX, 0.0, 0.0]]).unwrap_err();
         assert_eq!(error, DelaunayError::TooFar { reach: f32::MAX });
     }

@@ -1,16 +1,16 @@
-//! What can be wrong with points.
+//! Errors of the Delaunay construction.
 
 use thiserror::Error;
 
-/// Why points have no Delaunay tetrahedra here.
+/// The reason why the Delaunay construction rejects points.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum DelaunayError {
     /// A coordinate is NaN or infinite.
     #[error("point {index} is {point:?}: coordinates must be finite; repair or remove the point")]
     NotFinite {
-        /// The number of the point.
+        /// The index of the point in the list of points.
         index: usize,
-        /// The point.
+        /// The coordinates of the point.
         point: [f32; 3],
     },
     /// Two points are equal.
@@ -18,33 +18,34 @@ pub enum DelaunayError {
         "points {first} and {second} are both {point:?}: points must be distinct; keep one of them"
     )]
     Duplicate {
-        /// The smaller number.
+        /// The smaller of the two point indices.
         first: u32,
-        /// The larger number.
+        /// The larger of the two point indices.
         second: u32,
-        /// The point that both are.
+        /// The coordinates of both points.
         point: [f32; 3],
     },
-    /// No `f32` is left for a corner of the box around the points.
+    /// A corner of the box around the points exceeds the range of `f32`.
     #[error(
-        "the points reach to {reach:e}, and a box around them would leave the range of f32; scale them down"
+        "a coordinate has the magnitude {reach:e}, so a box around the points would exceed the range of \
+         f32; scale the points down"
     )]
     TooFar {
         /// The largest magnitude of a coordinate.
         reach: f32,
     },
-    /// More points than numbers.
-    #[error("{points} points: at most {most} are possible; divide the scene")]
+    /// The number of points exceeds the maximum.
+    #[error("the scene has {points} points, but at most {most} are possible; divide the scene")]
     TooManyPoints {
-        /// How many points were given.
+        /// The number of given points.
         points: usize,
-        /// How many are possible.
+        /// The maximum number of points.
         most: usize,
     },
-    /// More tetrahedra than numbers. Points on few curves can have about the square of their number.
+    /// The number of tetrahedra exceeds 2³² − 2. N points on few curves can have about N² tetrahedra.
     #[error("the points have more than 4294967294 tetrahedra; divide the scene")]
     TooManyTetrahedra,
-    /// There is not enough memory.
+    /// The observer of the build rejected the memory use, with this message.
     #[error("{0}")]
     Memory(String),
 }

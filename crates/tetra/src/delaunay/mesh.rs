@@ -1,21 +1,24 @@
-//! The tetrahedra while points are inserted, one after another.
+//! Incremental construction of Delaunay tetrahedra, one point at a time.
 //!
-//! Bowyer, "Computing Dirichlet tessellations", 1981, and Watson, "Computing the n-dimensional Delaunay
-//! tessellation", 1981: the tetrahedra in conflict with a point are star-shaped around it; they go, and the
-//! point is joined to each face of their border.
+//! The method is from Bowyer, "Computing Dirichlet tessellations", 1981, and Watson, "Computing the
+//! n-dimensional Delaunay tessellation", 1981. The tetrahedra in conflict with a point form a star-shaped
+//! region around the point. The construction removes these tetrahedra, and connects the point to each face of
+//! the region's border.
 
 use std::cmp::Ordering;
 
 use super::error::DelaunayError;
 use super::predicates::Predicates;
 
-/// No tetrahedron: what is across a face of the box.
+/// Marker for a missing neighbour of a tetrahedron, across a face on the border of the box.
 pub const NONE: u32 = u32::MAX;
 
-/// A tetrahedron of positive orientation and, for each corner, the tetrahedron across the opposite face.
+/// A tetrahedron of positive orientation, with its neighbours.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cell {
+    /// The corners, as point numbers.
     pub(super) corners: [u32; 4],
+    /// For each corner, the number of the tetrahedron across the opposite face, or [`NONE`].
     pub(super) across: [u32; 4],
 }
 
@@ -23,25 +26,32 @@ pub(super) struct Cell {
 pub(super) struct Mesh<'a> {
     predicates: &'a Predicates<'a>,
     cells: Vec<Cell>,
-    /// 2k: the cell conflicts with the k-th point inserted, k ≥ 1; 2k + 1: it does not; [`FREE`].
+    /// The mark of each cell. For the k-th inserted point, k ≥ 1, 2k marks a cell in conflict and 2k + 1 a
+    /// cell without conflict. [`FREE`] marks a removed cell.
     marks: Vec<u32>,
+    /// The numbers of the removed cells, whose entries new cells reuse.
     free: Vec<u32>,
+    /// The number of inserted points.
     inserted: u32,
-    /// A cell that exists; the last made. Walks start there.
+    /// The number of the cell that was created last. Walks start at this cell.
     last: u32,
-    /// Cells in conflict, and the faces on the border of their union. Kept to be filled again.
+    /// The numbers of the cells in conflict, and the faces on the border of their union, each as cell number
+    /// and index of the opposite corner. Each insertion reuses the lists to save allocations.
     conflicts: Vec<u32>,
     border: Vec<(u32, usize)>,
 }
 
+/// Mark of a removed cell.
 const FREE: u32 = u32::MAX;
 
-/// The most points that [`Mesh::insert`] can take: marks are twice their count.
+/// Maximum number of points that [`Mesh::insert`] accepts. Marks reach twice this number.
 pub(super) const MOST_POINTS: usize = 1 << 30;
 
 impl<'a> Mesh<'a> {
-    /// The Delaunay tetrahedra of the corners of a box, which are the points `first` to `first + 7`: of all
-    /// quadruples those of positive orientation that no other corner conflicts with.
+    /// Creates the Delaunay tetrahedra of the corners of a box.
+    ///
+    /// The corners are the points `first` to `first + 7`. The tetrahedra are all quadruples of corners of
+    /// positive orientation without a conflict with another corner.
     pub(super) fn of_box(predicates: &'a Predicates<'a>, first: u32) -> Self {
         let mut cells: Vec<Cell> = Vec::new();
         for bits in 0u32..1 << 8 {
@@ -89,39 +99,42 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    /// About the memory that the cells take once they are in order.
+    /// Returns the approximate memory of the cells after they are sorted, in bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.cells.len() as u64 * 110
     }
 
-    /// The cells, each with its number; the numbers have gaps.
+    /// Returns the list of cells, and for each cell false if the cell was removed.
     pub(super) fn into_cells(self) -> (Vec<Cell>, Vec<bool>) {
         let alive = self.marks.iter().map(|mark| *mark != FREE).collect();
         (self.cells, alive)
     }
 
-    /// Adds a point that is strictly inside of the box.
+    /// Inserts the point with this number, which must be strictly inside the box.
     ///
     /// # Errors
     ///
-    /// The number of the corner that the point equals, or that there are too many tetrahedra.
-    pub(super) fn insert(&mut self, point: u32) -> Result<(), Refusal> {
+    /// [`InsertionRefusal::Same`] if the point equals an inserted point or a corner of the box,
+    /// [`InsertionRefusal::Full`] if all numbers of tetrahedra are used.
+    pub(super) fn insert(&mut self, point: u32) -> Result<(), InsertionRefusal> {
         let start = self.find(point);
         if let Some(&same) = self.cells[start as usize]
             .corners
             .iter()
             .find(|c| self.predicates.same(**c, point))
         {
-            return Err(Refusal::Same(same));
+            return Err(InsertionRefusal::Same(same));
         }
         self.inserted += 1;
         let inside = 2 * self.inserted;
         self.gather_conflicts(point, start, inside);
         for at in 0..self.border.len() {
-            self.join(point, self.border[at])?;
+            let (old, k) = self.border[at];
+            self.join(point, old, k)?;
         }
         for at in 0..self.border.len() {
-            self.connect(self.border[at], inside);
+            let (old, k) = self.border[at];
+            self.connect(old, k, inside);
         }
         for cell in &self.conflicts {
             self.marks[*cell as usize] = FREE;
@@ -130,14 +143,15 @@ impl<'a> Mesh<'a> {
         Ok(())
     }
 
-    /// The cell that holds a point of the box, by a walk from the last cell made. It ends: see `ties.rs`.
+    /// Finds the cell that contains a point of the box, by a walk from the cell `last`. `ties.rs` explains
+    /// why the walk ends.
     fn find(&self, point: u32) -> u32 {
         let (mut at, mut from) = (self.last, NONE);
         'walk: loop {
             let cell = &self.cells[at as usize];
             for k in 0..4 {
                 if cell.across[k] == from || cell.across[k] == NONE {
-                    // The point is not beyond the face just passed, nor beyond a face of the box.
+                    // The point is neither beyond the face just crossed nor beyond a face of the box.
                     continue;
                 }
                 let mut corners = cell.corners;
@@ -151,8 +165,10 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    /// Fills `conflicts` and `border`, from a cell that holds the point. That cell is in conflict, also when
-    /// the point is on its border: a strictly convex height is below its interpolation.
+    /// Fills `conflicts` and `border`, starting from a cell that contains the point.
+    ///
+    /// The start cell is in conflict, even if the point is on its border: a strictly convex height is below
+    /// the interpolation of the heights at the cell's corners.
     fn gather_conflicts(&mut self, point: u32, start: u32, inside: u32) {
         self.conflicts.clear();
         self.border.clear();
@@ -184,9 +200,11 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    /// Makes the cell of the point and a border face, and connects it with the cell outside. The cell in
-    /// conflict then has the new cell across that face.
-    fn join(&mut self, point: u32, (old, k): (u32, usize)) -> Result<(), Refusal> {
+    /// Creates the cell whose corners are the point and the corners of face `k` of the cell `old`. The cell
+    /// `old` is in conflict, and the face is on the border of the cells in conflict.
+    ///
+    /// Also connects the new cell with the cell outside. Afterwards the new cell is across face `k` of `old`.
+    fn join(&mut self, point: u32, old: u32, k: usize) -> Result<(), InsertionRefusal> {
         let Cell {
             mut corners,
             across,
@@ -210,7 +228,7 @@ impl<'a> Mesh<'a> {
                     .filter(|new| *new != NONE);
                 self.cells.push(cell);
                 self.marks.push(0);
-                new.ok_or(Refusal::Full)?
+                new.ok_or(InsertionRefusal::Full)?
             }
         };
         if outside != NONE {
@@ -225,17 +243,21 @@ impl<'a> Mesh<'a> {
         Ok(())
     }
 
-    /// Connects the new cell of a border face with its three neighbours among the new cells: each is found by
-    /// turning around an edge of the face through the cells in conflict, up to the next border face.
-    fn connect(&mut self, (old, k): (u32, usize), inside: u32) {
+    /// Connects the new cell at face `k` of the cell `old` with its three new neighbours.
+    ///
+    /// The face is on the border of the cells in conflict.
+    ///
+    /// The search for each neighbour turns around an edge of the face, through the cells in conflict, up to
+    /// the next border face.
+    fn connect(&mut self, old: u32, k: usize, inside: u32) {
         let new = self.cells[old as usize].across[k];
         let corners = self.cells[old as usize].corners;
         for j in (0..4).filter(|j| *j != k) {
             if self.cells[new as usize].across[j] != NONE {
                 continue;
             }
-            // The face opposite to corner `cross` of the cell `at` is passed next; it has the edge and
-            // `third`.
+            // The walk next crosses the face opposite corner `cross` of the cell `at`. This face contains the
+            // edge and the corner `third`.
             let (mut at, mut cross, mut third) = (old, j, corners[k]);
             let other = loop {
                 let next = self.cells[at as usize].across[cross];
@@ -255,18 +277,18 @@ impl<'a> Mesh<'a> {
     }
 }
 
-/// Why a point was not inserted.
+/// The reason why a point was not inserted.
 #[derive(Debug)]
-pub(super) enum Refusal {
-    /// It equals the point of this number.
+pub(super) enum InsertionRefusal {
+    /// The point equals the inserted point with this number.
     Same(u32),
-    /// There are no more numbers for tetrahedra.
+    /// All numbers of tetrahedra are used.
     Full,
 }
 
-impl Refusal {
-    /// The error of the whole construction, when `point` was refused.
-    pub(super) fn of(self, number: u32, point: [f32; 3]) -> DelaunayError {
+impl InsertionRefusal {
+    /// Converts the reason why point `number` was not inserted to the error of the whole construction.
+    pub(super) fn into_error(self, number: u32, point: [f32; 3]) -> DelaunayError {
         match self {
             Self::Same(other) => DelaunayError::Duplicate {
                 first: other.min(number),
@@ -278,7 +300,7 @@ impl Refusal {
     }
 }
 
-/// Where a value that is among four is.
+/// Returns the index of a value in an array that contains the value.
 fn position(among: &[u32; 4], value: u32) -> usize {
     among.iter().position(|v| *v == value).unwrap_or(3)
 }

@@ -1,7 +1,7 @@
-//! The Delaunay tetrahedra of points: every decision exact, every tie broken in one consistent way.
+//! Delaunay tetrahedra of points with exact decisions and consistent ties.
 //!
-//! The tetrahedra of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to
-//! From-point Visibility", 2004, section 2.1, start from these.
+//! The tetrahedra of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to From-point
+//! Visibility", 2004, section 2.1, are built from Delaunay tetrahedra.
 
 mod build;
 mod curve;

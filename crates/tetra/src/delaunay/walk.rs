@@ -1,4 +1,5 @@
-//! Where a viewpoint is among the tetrahedra, and what is in front of what from there.
+//! Walks to the tetrahedron that contains a viewpoint, and the front-to-back order of tetrahedra from the
+//! viewpoint.
 
 use std::cmp::Ordering;
 
@@ -7,9 +8,11 @@ use super::mesh::NONE;
 use super::predicates::side;
 
 impl Delaunay {
-    /// A tetrahedron that holds the point `x`, found by a walk from the tetrahedron `hint` (any number will
-    /// do; the last answer is a good one). `None` where `x` is outside of the box or not finite. On a common
-    /// border any of the tetrahedra there is the answer.
+    /// Finds a tetrahedron that contains the point `x`, by a walk from the tetrahedron `hint`, and returns
+    /// its number.
+    ///
+    /// Any number is a valid hint; the previous result is a good hint. Returns `None` if `x` is outside of
+    /// the box or not finite. If several tetrahedra contain `x` on their border, the result is any of these.
     ///
     /// The walk is exact and always ends: each step leads to a tetrahedron with a smaller power of `x`.
     pub fn locate(&self, x: [f64; 3], hint: u32) -> Option<u32> {
@@ -34,9 +37,9 @@ impl Delaunay {
         }
     }
 
-    /// The lower and the upper corner of the box.
+    /// Returns the corners of the box with the smallest and with the largest coordinates.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
-        // The constructor ends the points with the 8 corners; a value made by hand may not.
+        // The constructor appends the 8 corners to the points. A caller can create a value without them.
         let corner = |from_end: usize| {
             self.points
                 .len()
@@ -48,15 +51,17 @@ impl Delaunay {
         [corner(8), corner(1)]
     }
 
-    /// On which side of the face opposite to corner `k` of tetrahedron `t` the finite point `x` is, decided
-    /// exactly: `Greater` on the tetrahedron's side, `Equal` on the face's plane.
+    /// Returns the side of the face opposite corner `k` of tetrahedron `t` on which `x` is.
     ///
-    /// Seen from `x`, the tetrahedron is before its neighbour across the face for `Greater`, and behind it
-    /// for `Less`; these relations of all faces have no circle.
+    /// The point `x` must be finite.
+    ///
+    /// The result is exact: `Greater` on the tetrahedron's side, `Equal` on the face's plane. Seen from `x`,
+    /// the tetrahedron is before its neighbour across the face for `Greater`, and behind the neighbour for
+    /// `Less`. These relations of all faces contain no cycle.
     pub fn side(&self, t: u32, k: usize, x: [f64; 3]) -> Ordering {
         let corners = self.tetrahedra[t as usize].map(|c| self.points[c as usize]);
         let [a, b, c, d] = corners;
-        // An even permutation of the corners brings `x` from place k to the front.
+        // An even permutation of the corners moves `x` from index k to the front.
         match k {
             0 => side([b, c, d], x),
             1 => side([a, d, c], x),
@@ -65,13 +70,13 @@ impl Delaunay {
         }
     }
 
-    /// The power of the point `x` to the circumsphere of tetrahedron `t`, rounded: the squared distance to
-    /// its centre minus its squared radius, in squared units of the points.
+    /// Computes the power of the point `x` to the circumsphere of tetrahedron `t`, rounded.
     ///
-    /// Tetrahedra ordered by power are nearly in front-to-back order. It is an order of work and decides
-    /// nothing: powers of tetrahedra on one sphere are equal but for rounding, and for a tetrahedron whose
-    /// volume rounds to 0 this is the squared distance to its first corner. [`Self::side`] decides between
-    /// neighbours.
+    /// The power is the squared distance to the sphere's centre minus the squared radius, in squared units of
+    /// the points. Tetrahedra ordered by power are nearly in front-to-back order. Use the power only to order
+    /// work: powers of tetrahedra on one sphere are equal except for rounding. For a tetrahedron whose volume
+    /// rounds to 0, the result is the squared distance to its first corner. For the exact order of two
+    /// neighbours, use [`Self::side`].
     pub fn power(&self, t: u32, x: [f64; 3]) -> f64 {
         let corners = self.tetrahedra[t as usize].map(|c| self.points[c as usize].map(f64::from));
         let minus = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|k| p[k] - corners[0][k]) };

@@ -1,5 +1,4 @@
-//! What is in a `.tets` file, as lists that are used where they are, and whether their numbers name
-//! something.
+//! The contents of a `.tets` file as borrowed lists, and the checks of the lists.
 
 use bytemuck::{AnyBitPattern, cast_slice};
 
@@ -7,37 +6,38 @@ use super::error::TetsError;
 use super::layout::{Layout, Section};
 use crate::cells::CellsView;
 use crate::check::structure;
-use crate::look::{Boxes, neighbours};
+use crate::point_query::{Boxes, neighbours};
 use crate::surfaces::{BLOCKS, CLOSED, FLAT, SHOWS, SurfacesView};
 
 #[cfg(target_endian = "big")]
 compile_error!("a .tets file is used in place, and its numbers are little-endian");
 
-/// What is in a `.tets` file.
+/// The contents of a `.tets` file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contents<'a> {
     /// The digest of the scene.
     pub digest: [u8; 32],
-    /// The surfaces.
+    /// The triangles of the scene, with corners as indices of distinct points.
     pub surfaces: SurfacesView<'a>,
-    /// The cells between them.
+    /// The cells between the surfaces.
     pub cells: CellsView<'a>,
-    /// How many closed solids hold each cell (`windings::windings`).
+    /// The number of closed solids around each cell (`windings::windings`).
     pub windings: &'a [i32],
-    /// The boxes over the triangles.
+    /// The hierarchy of boxes over the triangles.
     pub boxes: Boxes<'a>,
 }
 
 impl<'a> Contents<'a> {
-    /// The lists in the bytes of a file, which must start at a multiple of 8. What is in the lists is not
-    /// looked at.
-    pub(super) fn of(file: &'a [u8], layout: &Layout) -> Self {
+    /// Casts the bytes of a file to the lists of the file.
+    ///
+    /// The bytes must start at a multiple of 8. The function does not check the values in the lists.
+    pub(super) fn new(file: &'a [u8], layout: &Layout) -> Self {
         fn part<'a, T: AnyBitPattern>(
             file: &'a [u8],
             layout: &Layout,
             section: Section,
         ) -> &'a [T] {
-            // Sections start at multiples of 8 and end with a whole entry: `Layout::parse` has seen to it.
+            // `Layout::parse` checked that sections start at multiples of 8 and end with a whole entry.
             cast_slice(&file[layout.range(section)])
         }
         let points: &[[f32; 3]] = part(file, layout, Section::Points);
@@ -70,17 +70,21 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// That all numbers name something, that cells and faces list each other, and that boxes hold what is in
-    /// them. Whether the cells are right, and the solids around them, is for `check` to say.
+    /// Checks that all indices are in range, and that boxes contain their triangles.
+    ///
+    /// Also checks that cells and faces list each other. This function does not check the geometry of the
+    /// cells and the numbers of solids around cells; [`crate::check::check`] does.
     ///
     /// # Errors
-    /// [`TetsError::Malformed`].
+    /// [`TetsError::Malformed`] if an index is out of range, or if two lists contradict each other.
     pub fn check_numbers(&self) -> Result<(), TetsError> {
         let Self {
             surfaces, cells, ..
         } = *self;
         if cells.points.len() < 8 {
-            return Err(Section::Points.malformed("the corners of the box are not there"));
+            return Err(
+                Section::Points.malformed("the list is too short for the eight corners of the box")
+            );
         }
         if !cells.points.as_flattened().iter().all(|x| x.is_finite()) {
             return Err(Section::Points.malformed("a coordinate is not a finite number"));
@@ -92,23 +96,27 @@ impl<'a> Contents<'a> {
             .iter()
             .any(|p| *p as usize >= n)
         {
-            return Err(Section::Triangles.malformed("a corner is no point"));
+            return Err(Section::Triangles.malformed("a corner is not the index of a point"));
         }
         let known = FLAT | BLOCKS | SHOWS | CLOSED;
         if surfaces.flags.len() != surfaces.triangles.len()
             || surfaces.flags.iter().any(|f| f & !known != 0)
         {
-            return Err(Section::Flags.malformed("it is not one known byte for each triangle"));
+            return Err(Section::Flags
+                .malformed("the list does not contain one byte of known flags per triangle"));
         }
         if cells.rounded.len() != cells.meets.len()
             || !cells.rounded.as_flattened().iter().all(|x| x.is_finite())
         {
-            return Err(Section::Rounded.malformed("it is not a finite place for each vertex"));
+            return Err(Section::Rounded
+                .malformed("the list does not contain one finite position per vertex"));
         }
         structure::check(cells, surfaces)
             .map_err(|fault| Section::Cells.malformed(fault.to_string()))?;
         if self.windings.len() != cells.cell_count() {
-            return Err(Section::Windings.malformed("it is not one number for each cell"));
+            return Err(
+                Section::Windings.malformed("the list does not contain one number per cell")
+            );
         }
         neighbours::check(self.boxes.neighbours, surfaces)
             .map_err(|reason| Section::Neighbours.malformed(reason))?;
@@ -117,10 +125,10 @@ impl<'a> Contents<'a> {
             .map_err(|reason| Section::Boxes.malformed(reason))
     }
 
-    /// That the file is of the scene with a digest.
+    /// Checks that the file was built from the scene with this digest.
     ///
     /// # Errors
-    /// [`TetsError::OtherScene`].
+    /// [`TetsError::OtherScene`] if the digest of the file differs.
     pub fn expect_scene(&self, digest: &[u8; 32]) -> Result<(), TetsError> {
         if self.digest == *digest {
             return Ok(());

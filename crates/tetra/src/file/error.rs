@@ -1,71 +1,76 @@
-//! Why a `.tets` file is refused or cannot be written.
+//! Errors of reading and writing `.tets` files.
 
 use std::path::PathBuf;
 
-/// Why a `.tets` file is refused or cannot be written.
+/// The reason why a `.tets` file is rejected or cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum TetsError {
-    /// The file cannot be opened or mapped.
-    #[error("cannot read {path}: {source}; check that it is there and may be read")]
+    /// The file cannot be opened, read or mapped.
+    #[error("cannot read {path}: {source}; check that the file exists and is readable")]
     Open {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The error of the operating system.
         source: std::io::Error,
     },
     /// The file cannot be written.
-    #[error("cannot write the .tets file: {0}")]
-    Write(#[source] std::io::Error),
-    /// The first bytes are others.
     #[error(
-        "this is not a .tets file (it begins otherwise); name a file that `sightline tetra` wrote"
+        "cannot write the .tets file: {0}; check the free space and the permissions of the folder"
+    )]
+    Write(#[source] std::io::Error),
+    /// The file does not start with the magic number.
+    #[error(
+        "the file is not a .tets file (its first bytes differ); name a file that `sightline tetra` wrote"
     )]
     NotTets,
     /// The file has another version of the format.
     #[error(
-        "this .tets file has format version {found}, this program reads version {known}; build it again"
+        "the .tets file has format version {found}, but this program reads version {known}; build the \
+         file again"
     )]
     Version {
         /// The version of the file.
         found: u32,
-        /// The version of this crate.
+        /// The version that this crate reads.
         known: u32,
     },
-    /// The file is shorter than it says.
-    #[error("the .tets file is cut short: it has {actual} of {expected} bytes; copy it again")]
+    /// The file is shorter than its header states.
+    #[error(
+        "the .tets file is cut short: only {actual} of {expected} bytes exist; copy the file again"
+    )]
     CutShort {
-        /// Bytes according to the header, or the least that a header needs.
+        /// The length of the file that the header states, or the length of a header if the header is
+        /// incomplete, in bytes.
         expected: u64,
-        /// Bytes of the file.
+        /// The length of the file, in bytes.
         actual: u64,
     },
-    /// Some bytes were altered.
+    /// The bytes of a section or of the header do not match their checksum.
     #[error(
-        "the .tets file was altered: its {section} does not match its checksum; copy it again, or build \
-             it again"
+        "the .tets file was altered: the checksum of its {section} is wrong; copy the file again, or \
+         build it again"
     )]
     Altered {
-        /// The part of the file.
+        /// The name of the faulty section, or `header`.
         section: &'static str,
     },
-    /// The checksums match, but the contents contradict each other.
-    #[error("the .tets file is malformed, in its {section}: {reason}; build it again")]
+    /// The checksums match, but an entry is out of range or two lists contradict each other.
+    #[error("the .tets file is malformed, in its {section}: {reason}; build the file again")]
     Malformed {
-        /// The part of the file.
+        /// The name of the faulty section, or `header`.
         section: &'static str,
-        /// The fault.
+        /// The description of the fault.
         reason: String,
     },
-    /// The file was made from another scene.
+    /// The file was built from another scene.
     #[error(
-        "the .tets file is of another scene, or was built with other flags about what blocks and shows \
-             (digest {found}, wanted {wanted}); name the scene and give the flags that it was built with, or \
-             build it again"
+        "the .tets file was built from another scene, or with other flags for kinds of surfaces \
+         (digest {found}, expected {wanted}); use the scene and flags of the file, or build it again"
     )]
     OtherScene {
         /// The digest in the file, in hexadecimal digits.
         found: String,
-        /// The scene's.
+        /// The digest of the scene, in hexadecimal digits.
         wanted: String,
     },
 }

@@ -1,4 +1,4 @@
-//! The bytes of a `.tets` file around the contents of its sections. All numbers are little-endian.
+//! The byte layout of a `.tets` file: header, section table and sections. All numbers are little-endian.
 //!
 //! | offset | bytes | contents |
 //! |---|---|---|
@@ -18,53 +18,68 @@ use std::ops::Range;
 
 use super::error::TetsError;
 
-/// The version that this crate reads and writes.
+/// The format version that this crate reads and writes.
 pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89TET\r\n\x1a\n";
+/// The offset of the header's checksum, in bytes.
 const CRC_AT: usize = 56;
+/// The offset of the section table, in bytes.
 const TABLE_AT: usize = 64;
+/// The number of sections.
 const SECTIONS: usize = 15;
+/// The length of the header with the section table, in bytes.
 const HEADER: usize = TABLE_AT + SECTIONS * 24;
 
-/// The sections in the order of the file.
+/// A section of the file. The variants are in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Section {
-    /// Three f32 a point: the points of the surfaces, then the corners of the box.
+    /// The points of the surfaces, then the corners of the box: three f32 per point.
     Points,
-    /// Three u32 a triangle: its corners.
+    /// The corners of the triangles: three u32 per triangle.
     Triangles,
-    /// A byte a triangle: its flags.
+    /// The flags of the triangles: one byte per triangle.
     Flags,
-    /// Three u32 a plane.
+    /// The planes, each as three point numbers, or as two point numbers and an axis: three u32 per plane.
     Planes,
-    /// Three u32 a vertex that is a meet: its planes.
+    /// The vertices that are intersections of three planes, as plane numbers: three u32 per vertex.
     Meets,
-    /// Three f64 a vertex that is a meet: its rounded place.
+    /// The rounded position of each vertex that is an intersection of three planes: three f64 per vertex.
     Rounded,
-    /// Five u32 a face and one more: plane, starts of loop and triangles, cells in front and behind.
+    /// The faces, and one more entry: five u32 per entry.
+    ///
+    /// An entry contains the number of the plane, the start of the face's vertices in `Loops`, the start of
+    /// its triangles in `Covers`, and the numbers of the cells in front and behind.
     Faces,
-    /// A u32 for each vertex of each loop.
+    /// The vertex numbers of each face's loop: one u32 per vertex.
     Loops,
-    /// A u32 for each triangle of each face.
+    /// The ids of the triangles that cover each face: one u32 per triangle.
     Covers,
-    /// Two u32 a cell and one more: tetrahedron, start of its faces.
+    /// The cells, and one more entry: two u32 per entry.
+    ///
+    /// An entry contains the number of the tetrahedron, and the start of the cell's faces in `CellFaces`.
     Cells,
-    /// A u32 for each face of each cell.
+    /// The faces of each cell: one u32 per face, which is twice the face number, plus 1 if the cell is behind
+    /// the face.
     CellFaces,
-    /// An i32 a cell: how many closed solids hold it.
+    /// The number of closed solids around each cell: one i32 per cell.
     Windings,
-    /// 32 bytes a box: least corner (three f32), first child or triangle (u32), greatest corner (three f32),
-    /// number of triangles (u32).
+    /// The boxes: 32 bytes per box.
+    ///
+    /// An entry contains the lower corner (three f32), the index of the first child box or of the first entry
+    /// in `Order` (u32), the upper corner (three f32), and the number of triangles (u32).
     Boxes,
-    /// A u32 for each triangle that blocks or shows: those of a box together.
+    /// The ids of the triangles that block or show, grouped by box: one u32 per triangle.
     Order,
-    /// Three u32 a triangle: what is across the edge from each corner to the next, or 2³² − 1.
+    /// The neighbours of the triangles: three u32 per triangle.
+    ///
+    /// Each number is the id of the triangle across the edge from a corner to the next corner, or 2³² − 1
+    /// without such a triangle.
     Neighbours,
 }
 
 impl Section {
-    /// All sections in order.
+    /// All sections, in the order of the file.
     pub const ALL: [Self; SECTIONS] = [
         Self::Points,
         Self::Triangles,
@@ -83,7 +98,7 @@ impl Section {
         Self::Neighbours,
     ];
 
-    /// Its name in messages.
+    /// Returns the name of the section in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Points => "points",
@@ -104,7 +119,7 @@ impl Section {
         }
     }
 
-    /// Bytes of one entry.
+    /// Returns the size of an entry, in bytes.
     fn entry(self) -> usize {
         match self {
             Self::Points | Self::Triangles | Self::Planes | Self::Meets | Self::Neighbours => 12,
@@ -125,7 +140,7 @@ impl Section {
     }
 }
 
-/// Digest and sections of a file whose lengths and checksums are right.
+/// The scene digest and the section ranges of a file whose lengths and checksums are right.
 #[derive(Clone, Debug)]
 pub struct Layout {
     /// The digest of the scene.
@@ -134,15 +149,17 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Where a section is in the file. Its length is a multiple of its entries'.
+    /// Returns the byte range of a section in the file. The length of the range is a multiple of the
+    /// section's entry size.
     pub fn range(&self, section: Section) -> Range<usize> {
         self.ranges[section as usize].clone()
     }
 
-    /// Reads the header and verifies lengths and all checksums.
+    /// Reads the header and verifies all lengths and checksums.
     ///
     /// # Errors
-    /// [`TetsError`], for every file that was cut short or altered.
+    /// [`TetsError`] if the file was cut short or altered, is not a `.tets` file, has another version, or has
+    /// a malformed header or section table.
     pub fn parse(file: &[u8]) -> Result<Self, TetsError> {
         let actual = file.len() as u64;
         if file.is_empty() || !file.starts_with(&MAGIC[..MAGIC.len().min(file.len())]) {
@@ -171,7 +188,7 @@ impl Layout {
         }
         if actual > expected || u32_at(header, 12) as usize != SECTIONS || u32_at(header, 60) != 0 {
             return Err(malformed(
-                "it is not the header of a file of this length and version",
+                "the stated length of the file, number of sections or last field is wrong",
             ));
         }
         let mut ranges = [const { 0..0 }; SECTIONS];
@@ -180,7 +197,9 @@ impl Layout {
             let entry = TABLE_AT + i * 24;
             let offset = at.next_multiple_of(8);
             if u32_at(header, entry) as usize != i || u64_at(header, entry + 8) != offset as u64 {
-                return Err(malformed("its sections do not follow one another"));
+                return Err(malformed(
+                    "an entry of the section table has a wrong number or offset",
+                ));
             }
             let gap = file.get(at..offset);
             let bytes = usize::try_from(u64_at(header, entry + 16))
@@ -195,20 +214,21 @@ impl Layout {
                 });
             }
             if !bytes.len().is_multiple_of(section.entry()) {
-                return Err(section.malformed("its last entry is not whole"));
+                return Err(section.malformed("the last entry is incomplete"));
             }
             ranges[i] = offset..offset + bytes.len();
             at = offset + bytes.len();
         }
         if at != file.len() {
-            return Err(malformed("bytes follow its last section"));
+            return Err(malformed("bytes follow the last section"));
         }
         let digest = std::array::from_fn(|i| header[24 + i]);
         Ok(Self { digest, ranges })
     }
 }
 
-/// The header of a file with these sections, given as checksum and length.
+/// Builds the header of a file with these sections, in the order of the file. Each section is given as its
+/// checksum and its length in bytes.
 pub(super) fn header(digest: &[u8; 32], sections: &[(u32, u64); SECTIONS]) -> Vec<u8> {
     let mut table = Vec::with_capacity(SECTIONS * 24);
     let mut at = HEADER as u64;
@@ -231,8 +251,9 @@ pub(super) fn header(digest: &[u8; 32], sections: &[(u32, u64); SECTIONS]) -> Ve
     header
 }
 
-/// Makes all checksums of a file right, if its header and sections are where they should be: for tests of
-/// what is behind them.
+/// Writes correct checksums to a file. Stops at the first section that exceeds the file.
+///
+/// Tests use this function to reach the code after the checksum tests.
 pub(crate) fn seal(file: &mut [u8]) {
     if file.len() < HEADER {
         return;
@@ -257,12 +278,12 @@ fn crc(start: &[u8], table: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(start), table)
 }
 
-/// The caller has checked that the four bytes are there.
+/// Reads a little-endian u32 at offset `at`. The caller has checked that the slice contains the four bytes.
 pub(super) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
 }
 
-/// The caller has checked that the eight bytes are there.
+/// Reads a little-endian u64 at offset `at`. The caller has checked that the slice contains the eight bytes.
 pub(super) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
 }

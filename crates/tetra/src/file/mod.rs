@@ -1,5 +1,7 @@
-//! The file format `.tets`: surfaces, the cells between them and boxes over them, in flat arrays under
-//! checksums that are read in place.
+//! The file format `.tets`: flat arrays with checksums. Queries read the arrays without a copy.
+//!
+//! The arrays contain the surfaces, the cells between the surfaces, and the hierarchy of boxes over the
+//! triangles.
 
 mod contents;
 mod error;

@@ -1,4 +1,4 @@
-//! An opened `.tets` file: questions about points, for any number of threads.
+//! An opened `.tets` file with point queries for any number of threads.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -7,34 +7,41 @@ use std::path::Path;
 use super::contents::Contents;
 use super::error::TetsError;
 use super::layout::Layout;
-use crate::look::{Budget, Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
+use crate::point_query::{
+    Engine, LookError, Looker, Mode, Scratch, SearchBudget, Target, View, VisibleTriangles,
+};
 
-/// An opened file. Threads can share it, each with a [`Scratch`] of its own.
+/// An opened `.tets` file. Threads can share the file, each with a separate [`Scratch`].
 pub struct Tets {
     bytes: Bytes,
     layout: Layout,
     unit: i32,
 }
 
-/// Microseconds that a beam takes, and a box or a cell that it enters, on one machine
-/// (`docs/experiments/look.md`). Only their relations count.
-const OF_BOXES: Budget = Budget {
+/// Cost of a search through boxes: of a beam, and of a box that the beam enters, in microseconds.
+///
+/// The times were measured on one machine (`docs/experiments/look.md`). Only the ratios of these times and of
+/// the times in [`OF_CELLS`] affect the choice of an engine.
+const OF_BOXES: SearchBudget = SearchBudget {
     beam: 2.0,
     step: 0.5,
     most: f64::INFINITY,
 };
-const OF_CELLS: Budget = Budget {
+/// Cost of a search through cells: of a beam, and of a cell that the beam enters, in microseconds.
+const OF_CELLS: SearchBudget = SearchBudget {
     beam: 8.0,
     step: 1.0,
     most: f64::INFINITY,
 };
 
-/// Size in bytes from which [`Tets::open`] maps a file instead of reading it: 256 MiB.
+/// Minimum size of a file, in bytes, at which [`Tets::open`] maps the file instead of reading it: 256 MiB.
 pub const MAPPED_FROM: u64 = 256 << 20;
 
 enum Bytes {
     Mapped(memmap2::Mmap),
-    /// In words, so that they start at a multiple of 8, and their number of bytes.
+    /// The content in 64-bit words, and the length in bytes.
+    ///
+    /// The words make the content start at a multiple of 8.
     Owned(Vec<u64>, usize),
 }
 
@@ -46,8 +53,10 @@ impl Bytes {
         }
     }
 
-    /// Reads a file that had `length` bytes when it was opened. A file that is cut while it is read gives
-    /// fewer bytes, which the header's length shows.
+    /// Reads a file that had `length` bytes when the file was opened.
+    ///
+    /// If another program truncates the file while it is read, the result has fewer bytes. The length in the
+    /// header shows this.
     fn read(file: File, length: u64) -> std::io::Result<Self> {
         let no_memory = || std::io::Error::from(std::io::ErrorKind::OutOfMemory);
         let count = usize::try_from(length)
@@ -81,16 +90,17 @@ impl std::fmt::Debug for Tets {
 }
 
 impl Tets {
-    /// Opens a file and checks its checksums and all its numbers. Below [`MAPPED_FROM`] bytes the file is
-    /// read into memory, and later changes of the file do not matter.
+    /// Opens a `.tets` file and checks all its checksums and indices.
     ///
-    /// A larger file is mapped: the operating system loads its pages as they are used, and can drop them. A
-    /// mapped file must not be changed in place while it is open. If another program cuts it, the operating
-    /// system ends this process with SIGBUS. Replace it by writing another file and renaming it, as
-    /// `sightline tetra` does.
+    /// A file below [`MAPPED_FROM`] bytes is read into memory, and later changes of the file have no effect.
+    ///
+    /// A file of at least [`MAPPED_FROM`] bytes is mapped: the operating system loads the pages of the file
+    /// on first use, and can drop these pages again. A mapped file must not be changed in place while it is
+    /// open. If another program truncates the file, the operating system ends this process with SIGBUS. To
+    /// replace the file, write another file and rename it, as `sightline tetra` does.
     ///
     /// # Errors
-    /// [`TetsError`] for a file that cannot be read, was cut short or altered, or contradicts itself.
+    /// [`TetsError`] if the file cannot be read, was cut short or altered, or contradicts itself.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, TetsError> {
         let path = path.as_ref();
         let failed = |source| TetsError::Open {
@@ -106,16 +116,16 @@ impl Tets {
             return Self::checked(Bytes::read(file, metadata.len()).map_err(failed)?);
         }
         #[allow(unsafe_code, reason = "mapping a file is unsafe")]
-        // SAFETY: the map is read-only, and any bytes are valid numbers. Another process must not change or
-        // truncate the file while it is open, which the documentation above forbids.
+        // SAFETY: the map is read-only, and any bytes are valid numbers. The documentation of this function
+        // forbids that another process changes or truncates the file while it is open.
         let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
         Self::checked(Bytes::Mapped(map))
     }
 
-    /// Checks a whole file that is in memory, and copies it.
+    /// Checks the bytes of a complete `.tets` file, and copies the bytes.
     ///
     /// # Errors
-    /// [`TetsError`] for bytes that were cut short or altered, or contradict themselves.
+    /// [`TetsError`] if the bytes were cut short or altered, or contradict themselves.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, TetsError> {
         let mut words = vec![0u64; bytes.len().div_ceil(8)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
@@ -124,7 +134,7 @@ impl Tets {
 
     fn checked(bytes: Bytes) -> Result<Self, TetsError> {
         let layout = Layout::parse(bytes.get())?;
-        let contents = Contents::of(bytes.get(), &layout);
+        let contents = Contents::new(bytes.get(), &layout);
         contents.check_numbers()?;
         let unit = Looker::unit(contents.cells.points);
         Ok(Self {
@@ -134,9 +144,9 @@ impl Tets {
         })
     }
 
-    /// What is in the file.
+    /// Returns the contents of the file as lists.
     pub fn contents(&self) -> Contents<'_> {
-        Contents::of(self.bytes.get(), &self.layout)
+        Contents::new(self.bytes.get(), &self.layout)
     }
 
     fn looker(&self) -> Looker<'_> {
@@ -149,45 +159,50 @@ impl Tets {
         Looker::with_unit(surfaces, boxes, cells, self.unit)
     }
 
-    /// A cell that holds a point in world coordinates, its border included; nothing outside of the cells'
-    /// box. The search walks from the cell `hint`, best that of a point nearby; without one it starts at the
-    /// nearest of some cells that are spread over the scene.
+    /// Finds a cell that contains the point `x`, in world coordinates, and returns the number of the cell. A
+    /// cell contains its border.
+    ///
+    /// Returns `None` if the point is outside of the cells' box. The search walks from the cell `hint`, which
+    /// should be near the point. Without a hint, the search starts at the nearest of several cells that are
+    /// spread over the scene.
     ///
     /// # Errors
-    /// [`LookError::Coordinate`] for numbers that are out of range.
+    /// [`LookError::Coordinate`] if a coordinate is not finite or exceeds 3.4e38.
     pub fn locate(&self, x: [f64; 3], hint: Option<u32>) -> Result<Option<u32>, LookError> {
         self.looker().locate(x, hint)
     }
 
-    /// Whether a point is inside of the union of all closed solids, which block and whose normals point out;
-    /// not on its border. Exact.
+    /// Returns true if the point `x` is strictly inside the union of all closed solids. The result is exact.
+    ///
+    /// Closed solids are closed surfaces of triangles that block and whose normals point out.
     ///
     /// # Errors
-    /// [`LookError::Coordinate`] for numbers that are out of range.
+    /// [`LookError::Coordinate`] if a coordinate is not finite or exceeds 3.4e38.
     pub fn inside(&self, x: [f64; 3], scratch: &mut Scratch) -> Result<bool, LookError> {
         let windings = self.contents().windings;
         let cells = self.looker().cells_at(x, scratch)?;
         Ok(!cells.is_empty() && cells.iter().all(|cell| windings[cell.first as usize] > 0))
     }
 
-    /// What is visible from a point ([`Looker::look`]).
+    /// Computes the triangles that are visible from the point `x` ([`Looker::look`]).
     ///
     /// # Errors
-    /// [`LookError`] for numbers that are out of range.
+    /// [`LookError`] if a coordinate, angle or distance is out of range.
     pub fn look<'s>(
         &self,
         x: [f64; 3],
         view: &View,
         mode: Mode,
         scratch: &'s mut Scratch,
-    ) -> Result<&'s Seen, LookError> {
+    ) -> Result<&'s VisibleTriangles, LookError> {
         self.looker().look(x, view, mode, scratch)
     }
 
-    /// What share of a box's picture is visible from a point, exactly ([`Looker::sees`]).
+    /// Computes the exact visible fraction, from 0 to 1, of the solid angle of a box as seen from the point
+    /// `x` ([`Looker::sees`]).
     ///
     /// # Errors
-    /// [`LookError`] for numbers that are out of range.
+    /// [`LookError`] if a coordinate, angle or distance is out of range.
     pub fn sees(
         &self,
         x: [f64; 3],
@@ -197,10 +212,11 @@ impl Tets {
         self.sees_in(x, target, &View::default(), Mode::Exact, scratch)
     }
 
-    /// The same within a view, and with an angle.
+    /// Computes the visible fraction of the solid angle of a box, from 0 to 1, with a view and a mode
+    /// ([`Looker::sees`]).
     ///
     /// # Errors
-    /// [`LookError`] for numbers that are out of range.
+    /// [`LookError`] if a coordinate, angle or distance is out of range.
     pub fn sees_in(
         &self,
         x: [f64; 3],
@@ -212,13 +228,16 @@ impl Tets {
         self.looker().sees(x, target, view, mode, scratch)
     }
 
-    /// The engine that takes less time for points like this one, by how much each goes through for it: the
-    /// same question gives the same engine on every machine. In the conservative mode it is always the cells,
-    /// which come in order, so that less of what is behind is listed. `scratch.seen` holds no answer
+    /// Returns the engine that is expected to answer queries near the point `x` faster.
+    ///
+    /// The function runs the query with both engines, and compares the numbers of beams and of boxes or cells
+    /// that each engine visits. So the same arguments return the same engine on every machine. In the
+    /// conservative mode the result is always [`Engine::Cells`]: this engine visits cells in front-to-back
+    /// order, so its sets contain fewer hidden triangles. `scratch.seen` does not contain a valid answer
     /// afterwards.
     ///
     /// # Errors
-    /// [`LookError`] for numbers that are out of range.
+    /// [`LookError`] if a coordinate, angle or distance is out of range.
     pub fn faster(
         &self,
         x: [f64; 3],
@@ -230,17 +249,17 @@ impl Tets {
             return Ok(Engine::Cells);
         }
         let looker = self.looker();
-        let is_enough = |engine, budget: &Budget, scratch: &mut Scratch| {
+        let is_enough = |engine, budget: &SearchBudget, scratch: &mut Scratch| {
             let view = View {
                 engine,
                 witnesses: false,
                 ..view.clone()
             };
-            looker.look_for(x, (&view, mode), budget, scratch)
+            looker.look_for(x, &view, mode, budget, scratch)
         };
         is_enough(Engine::Boxes, &OF_BOXES, scratch)?;
-        // Cells are followed only for as long as they may be the faster ones.
-        let cells = Budget {
+        // The search through cells stops as soon as it costs more than the search through boxes.
+        let cells = SearchBudget {
             most: OF_BOXES.cost(&scratch.seen),
             ..OF_CELLS
         };

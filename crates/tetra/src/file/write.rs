@@ -1,4 +1,4 @@
-//! Writing a `.tets` file.
+//! The writer of `.tets` files.
 
 use std::io::Write;
 
@@ -8,10 +8,10 @@ use super::contents::Contents;
 use super::error::TetsError;
 use super::layout::{Section, header};
 
-/// Writes a file.
+/// Writes `contents` as a `.tets` file to `to`.
 ///
 /// # Errors
-/// [`TetsError::Write`].
+/// [`TetsError::Write`] if the writer fails.
 pub fn write(to: &mut dyn Write, contents: &Contents<'_>) -> Result<(), TetsError> {
     let sections = Section::ALL.map(|section| {
         let bytes = bytes(section, contents);

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 type Triangle = [[f32; 3]; 3];
 
-/// Triangles over few points: many at each edge, the same ones again, and from behind.
+/// Generates triangles over few points: many share an edge, and some are repeated or reversed.
 pub fn few_points() -> impl Strategy<Value = Vec<Triangle>> {
     let points = prop::collection::vec(prop::array::uniform3(-3..=3i8), 4..9);
     let triangles = prop::collection::vec(prop::array::uniform3(0..64usize), 4..28);
@@ -14,8 +14,9 @@ pub fn few_points() -> impl Strategy<Value = Vec<Triangle>> {
     })
 }
 
-/// Sheets of squares over a lattice, at heights of which many agree, through one another; some squares are
-/// left out, and some are divided at the middle of an edge.
+/// Generates sheets of squares over a lattice that cross one another.
+///
+/// Many of the heights agree. Some squares are skipped, and some are divided at the middle of an edge.
 pub fn sheets() -> impl Strategy<Value = Vec<Triangle>> {
     let sheet = (
         prop::collection::vec(-2..=2i8, 25),

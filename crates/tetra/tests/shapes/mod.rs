@@ -3,7 +3,7 @@
 /// A triangle.
 pub type T = [[f32; 3]; 3];
 
-/// Schönhardt's polyhedron, which has no tetrahedra without another point.
+/// Returns Schönhardt's polyhedron, which cannot be divided into tetrahedra without another point.
 pub fn schonhardt() -> Vec<T> {
     let ring = |z: f32, turn: f32| {
         [0.0f32, 1.0, 2.0].map(|k| {
@@ -21,7 +21,7 @@ pub fn schonhardt() -> Vec<T> {
     triangles
 }
 
-/// After Chazelle: edges of two rulings of a saddle, close to each other.
+/// Returns triangles at the edges of two rulings of a saddle, close to each other, after Chazelle.
 pub fn saddle() -> Vec<T> {
     let mut triangles = Vec::new();
     for i in -2..=2 {
@@ -34,7 +34,7 @@ pub fn saddle() -> Vec<T> {
     triangles
 }
 
-/// Four cubes on a lattice, moved and scaled.
+/// Returns four cubes on a lattice, moved and scaled.
 pub fn lattice_of_cubes(scale: f32, shift: f32) -> Vec<T> {
     let mut triangles = Vec::new();
     for k in 0..4 {

@@ -1,4 +1,4 @@
-//! Small glTF files for tests, and readers of what was written that know nothing of the crate.
+//! Small glTF files for tests, and readers of written files that are independent of the crate.
 
 #![allow(dead_code, reason = "each test uses a part of it")]
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
@@ -6,17 +6,17 @@
 use glam::DVec3;
 use serde_json::{Value, json};
 use sightline_scene::Scene;
-use sightline_texels::{Plan, Settings, Written};
+use sightline_texels::{Plan, Settings, WrittenFile};
 
-/// A file being made: its JSON, and the bytes of its one buffer.
+/// A file under construction: its JSON, and the bytes of its single buffer.
 pub struct Maker {
-    /// The document.
+    /// The glTF document.
     pub json: Value,
     bytes: Vec<u8>,
 }
 
 impl Maker {
-    /// A file without anything.
+    /// Creates an empty file.
     pub fn new() -> Self {
         let json = json!({
             "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [] }],
@@ -96,7 +96,7 @@ impl Maker {
         self.push("meshes", json!({ "primitives": [primitive] }))
     }
 
-    /// The file as a GLB.
+    /// Returns the file as a GLB.
     pub fn glb(&self) -> Vec<u8> {
         let mut json = self.json.clone();
         json["buffers"][0]["byteLength"] = json!(self.bytes.len());
@@ -118,7 +118,7 @@ impl Maker {
     }
 }
 
-/// The eight vertices and twelve triangles of a cube from 0 to 1, wound outward.
+/// Returns the eight vertices and twelve triangles of a cube from 0 to 1, wound outwards.
 pub fn cube() -> (Vec<f32>, Vec<u16>) {
     let positions = (0..8)
         .flat_map(|i| [i & 1, i >> 1 & 1, i >> 2 & 1])
@@ -139,30 +139,34 @@ pub fn cube() -> (Vec<f32>, Vec<u16>) {
     (positions, triangles)
 }
 
-/// The accessors of a cube with shared vertices: positions, indices.
+/// Adds the accessors of a cube with shared vertices, and returns them: positions, indices.
 pub fn add_cube(maker: &mut Maker) -> (usize, usize) {
     let (positions, indices) = cube();
     (maker.floats("VEC3", &positions), maker.indices(&indices))
 }
 
-/// A primitive of a cube, with a material or without.
+/// Creates a primitive of a cube without a material.
 pub fn cube_primitive(maker: &mut Maker) -> Value {
     let (positions, indices) = add_cube(maker);
     json!({ "attributes": { "POSITION": positions }, "indices": indices })
 }
 
-/// The scene of a file.
+/// Loads the scene of a file.
 pub fn scene(glb: &[u8]) -> Scene {
     sightline_scene::load_bytes("test.glb", glb, None).unwrap()
 }
 
-/// The file with a function of receivers as values.
-pub fn written(glb: &[u8], settings: &Settings, value: impl Fn(DVec3, DVec3) -> f64) -> Written {
+/// Writes the file with a function of point and normal as values.
+pub fn written(
+    glb: &[u8],
+    settings: &Settings,
+    value: impl Fn(DVec3, DVec3) -> f64,
+) -> WrittenFile {
     let scene = scene(glb);
     let plan = Plan::new("test.glb", glb, None, &scene, settings).unwrap();
     let values = plan.receivers().iter();
     let values: Vec<_> = values
-        .map(|r| sightline_texels::Value {
+        .map(|r| sightline_texels::ReceiverValue {
             open: value(r.point, r.normal).clamp(0.0, 1.0),
             inside: false,
         })
@@ -176,11 +180,11 @@ pub fn written(glb: &[u8], settings: &Settings, value: impl Fn(DVec3, DVec3) -> 
     written
 }
 
-/// A GLB that was written: its document and its binary chunk.
+/// A written GLB: its document and its binary chunk.
 pub struct Read {
-    /// The document.
+    /// The glTF document of the file.
     pub json: Value,
-    /// The binary chunk.
+    /// The bytes of the file's binary chunk.
     pub bytes: Vec<u8>,
 }
 
@@ -189,7 +193,7 @@ fn number(v: &Value) -> usize {
 }
 
 impl Read {
-    /// Reads a GLB.
+    /// Reads a GLB, and checks its header.
     pub fn new(glb: &[u8]) -> Self {
         let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
         assert_eq!((&glb[..4], word(4), word(8)), (&b"glTF"[..], 2, glb.len()));
@@ -204,13 +208,13 @@ impl Read {
         Self { json, bytes }
     }
 
-    /// A buffer view.
+    /// Returns the bytes of a buffer view.
     pub fn view(&self, v: usize) -> &[u8] {
         let view = &self.json["bufferViews"][v];
         &self.bytes[number(&view["byteOffset"])..][..number(&view["byteLength"])]
     }
 
-    /// The components of an accessor, as numbers that are not normalised.
+    /// Returns the components of an accessor as numbers, without normalisation.
     pub fn accessor(&self, a: usize) -> Vec<f64> {
         let a = &self.json["accessors"][a];
         let n = match a["type"].as_str().unwrap() {
@@ -238,17 +242,17 @@ impl Read {
         (0..number(&a["count"])).flat_map(element).collect()
     }
 
-    /// The primitive of a mesh.
+    /// Returns a primitive of a mesh.
     pub fn primitive(&self, mesh: usize, p: usize) -> &Value {
         &self.json["meshes"][mesh]["primitives"][p]
     }
 
-    /// An attribute of a primitive.
+    /// Returns an attribute of a primitive.
     pub fn attribute(&self, mesh: usize, p: usize, name: &str) -> Vec<f64> {
         self.accessor(number(&self.primitive(mesh, p)["attributes"][name]))
     }
 
-    /// The triangles of a primitive as numbers of vertices.
+    /// Returns the triangles of a primitive as vertex numbers.
     pub fn triangles(&self, mesh: usize, p: usize) -> Vec<[usize; 3]> {
         let all = self.accessor(number(&self.primitive(mesh, p)["indices"]));
         all.chunks(3)
@@ -256,7 +260,8 @@ impl Read {
             .collect()
     }
 
-    /// The texture coordinates of the corners of each triangle, of the set that the occlusion texture has.
+    /// Returns the texture coordinates of the corners of each triangle, from the set of the occlusion
+    /// texture.
     pub fn coordinates(&self, mesh: usize, p: usize) -> Vec<[[f64; 2]; 3]> {
         let material = &self.json["materials"][number(&self.primitive(mesh, p)["material"])];
         let set = number(&material["occlusionTexture"]["texCoord"]);
@@ -267,7 +272,7 @@ impl Read {
             .collect()
     }
 
-    /// The occlusion image: width, height, values from 0 to 1.
+    /// Returns the occlusion image: width, height, values from 0 to 1.
     pub fn image(&self) -> Image {
         let images = self.json["images"].as_array().unwrap();
         let png = self.view(number(&images[images.len() - 1]["bufferView"]));
@@ -294,16 +299,16 @@ impl Read {
 
 /// An image of grey values.
 pub struct Image {
-    /// Texels across.
+    /// The width in texels.
     pub width: usize,
-    /// Texels down.
+    /// The height in texels.
     pub height: usize,
-    /// Row by row.
+    /// The values, row by row.
     pub values: Vec<f64>,
 }
 
 impl Image {
-    /// The value at texture coordinates, by bilinear filtering that clamps to the edge.
+    /// Returns the value at texture coordinates, by bilinear filtering that clamps to the edge.
     pub fn at(&self, uv: [f64; 2]) -> f64 {
         let place = |c: f64, n: usize| {
             let c = (c * n as f64 - 0.5).clamp(0.0, (n - 1) as f64);

@@ -1,9 +1,9 @@
-//! Filters of Embree's hits: one rejects hits on triangles met from behind, the other lists hits on
-//! see-through triangles and rejects them all.
+//! Filters of Embree's hits. One filter rejects hits on triangles met from behind. The other filter lists
+//! hits on see-through triangles and rejects them all.
 //!
-//! Embree calls a filter for each hit nearer than the nearest one so far and goes on behind those that it
-//! rejects. So a triangle in the same place that faces the ray is still met, and one traversal finds the end
-//! of a ray and the see-through triangles before it.
+//! Embree calls a filter for each hit that is nearer than the nearest hit so far, and continues behind
+//! rejected hits. A coincident triangle that faces the ray is therefore still met, and one traversal finds
+//! the end of a ray and the see-through triangles before it.
 
 #![allow(
     unsafe_code,
@@ -12,7 +12,7 @@
 
 use std::ffi::{c_int, c_uint, c_void};
 
-/// For each of Embree's triangles its normal towards its front, of any length; zero when both sides are met.
+/// The normal of each of Embree's triangles towards its front, of any length; zero if both sides are met.
 pub type Fronts = Vec<[f64; 3]>;
 
 /// `RTCFilterFunctionNArguments` of Embree 3 and 4.
@@ -40,23 +40,24 @@ pub struct Pass {
     pub at: f32,
 }
 
-/// The hits that [`collect`] lists, in an order of no meaning. Some lie behind the end of their ray, which
-/// was not known yet when they were met.
+/// The hits that [`collect`] lists, in arbitrary order. Some hits lie behind the end of their ray, which was
+/// not known when they were met.
 pub type Passes = Vec<Pass>;
 
-/// Context of a query: `RTCIntersectContext` of Embree 3 or `RTCRayQueryContext` of Embree 4, with spare
-/// room, and what the filters of the query write to.
+/// The context of a query, with spare room, and the list to which the query's filters write.
+///
+/// It is an `RTCIntersectContext` of Embree 3 or an `RTCRayQueryContext` of Embree 4.
 #[repr(C, align(16))]
 pub struct Context {
     flags: c_uint,
     filter: *const c_void,
     rest: [u32; 16],
-    /// Null when no filter collects.
+    /// Null if no filter collects hits.
     passes: *mut Passes,
 }
 
 impl Context {
-    /// That of a query of Embree 3.
+    /// Creates the context of a query of Embree 3.
     pub fn of_3(flags: c_uint, passes: *mut Passes) -> Self {
         Self {
             flags,
@@ -66,7 +67,8 @@ impl Context {
         }
     }
 
-    /// That of a query of Embree 4, which has instance numbers in the place of flags and filter.
+    /// Creates the context of a query of Embree 4, which has instance numbers in the place of flags and
+    /// filter.
     pub fn of_4(passes: *mut Passes) -> Self {
         let filter = std::ptr::without_provenance(usize::MAX);
         Self {
@@ -78,22 +80,22 @@ impl Context {
     }
 }
 
-/// First of the three rows of directions in `RTCRayN`, whose rows have one 32-bit word for each ray.
+/// The first of the three rows of directions in `RTCRayN`, whose rows have one 32-bit word for each ray.
 const DIRECTION: usize = 4;
-/// Row of the distances, and of the rays' numbers.
+/// The row of the distances, and the row of the rays' numbers.
 const DISTANCE: usize = 8;
 const NUMBER: usize = 10;
-/// Row of triangle numbers in `RTCHitN`.
+/// The row of triangle numbers in `RTCHitN`.
 const TRIANGLE: usize = 5;
 
-/// Rejects the hits on triangles that are met from behind. The product is rounded in `f64`; its sign can be
-/// wrong only for rays that meet the triangle edge-on ([`sightline_scene::Scene::front`]).
+/// Rejects the hits on triangles that are met from behind. The product is rounded in `f64`, so its sign can
+/// be wrong only for rays that meet the triangle edge-on ([`sightline_scene::Scene::front`]).
 ///
 /// # Safety
-/// `arguments` must be those of a call of Embree, for a geometry whose user data points to the [`Fronts`] of
-/// all its triangles.
+/// `arguments` must be the arguments of a call by Embree, for a geometry whose user data points to the
+/// [`Fronts`] of all its triangles.
 pub unsafe extern "C" fn cull(arguments: *const FilterArguments) {
-    // SAFETY: Embree passes a structure that lives during the call, and the user data is as the caller says.
+    // SAFETY: Embree passes a structure that lives during the call, and the caller guarantees the user data.
     let (arguments, fronts) = unsafe { (&*arguments, &*(*arguments).user.cast::<Fronts>()) };
     let n = arguments.count as usize;
     for i in 0..n {
@@ -106,19 +108,20 @@ pub unsafe extern "C" fn cull(arguments: *const FilterArguments) {
     }
 }
 
-/// Lists the hits and rejects them, so that rays go on behind them. Hits from behind are left out when the
-/// geometry has fronts.
+/// Lists the hits and rejects them, so that rays continue behind them. If the geometry has fronts, hits from
+/// behind are omitted.
 ///
 /// # Safety
-/// `arguments` must be those of a call of Embree whose context is a [`Context`] with a live list, for a
-/// geometry whose user data is null or points to the [`Fronts`] of all its triangles.
+/// `arguments` must be the arguments of a call by Embree whose context is a [`Context`] with a live list. The
+/// user data of the geometry must be null or point to the [`Fronts`] of all its triangles.
 pub unsafe extern "C" fn collect(arguments: *const FilterArguments) {
-    // SAFETY: as the caller says; the list belongs to the thread that called Embree, which waits.
+    // SAFETY: the caller guarantees the arguments; the list belongs to the thread that called Embree, which
+    // waits.
     let (arguments, passes) = unsafe { (&*arguments, &mut *(*(*arguments).context).passes) };
     let n = arguments.count as usize;
     for i in 0..n {
         // SAFETY: `valid` has n elements; rays and hits have more rows of n words than are read here. The
-        // user data is as the caller says.
+        // caller guarantees the user data.
         unsafe {
             let valid = arguments.valid.add(i);
             if *valid == 0 {
@@ -139,7 +142,7 @@ pub unsafe extern "C" fn collect(arguments: *const FilterArguments) {
 }
 
 impl FilterArguments {
-    /// Embree's number of the triangle that ray `i` hits.
+    /// Returns Embree's number of the triangle that ray `i` hits.
     ///
     /// # Safety
     /// `i` must be less than `count`.
@@ -153,7 +156,7 @@ impl FilterArguments {
         }
     }
 
-    /// Whether ray `i` meets its triangle from behind.
+    /// Returns true if ray `i` meets its triangle from behind.
     ///
     /// # Safety
     /// `i` must be less than `count`.

@@ -1,9 +1,10 @@
 //! Embree's C interface, loaded at run time.
 //!
-//! The library is opened with `dlopen`. So one program works with Embree 3 and 4, compiles where neither is
-//! installed, and can report what is missing (docs/decisions/0001-embree-at-run-time.md). Only the functions
-//! that the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both versions.
-//! Newer versions append fields to some structures; the structures here are larger than every such version.
+//! The library is opened with `dlopen`. One program therefore works with Embree 3 and 4, compiles on machines
+//! without Embree, and can report the missing files (docs/decisions/0001-embree-at-run-time.md). Only the
+//! functions that the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both
+//! versions. Newer versions append fields to some structures; the structures here are larger than in every
+//! such version.
 
 #![allow(
     unsafe_code,
@@ -16,7 +17,7 @@ use std::sync::{Arc, OnceLock};
 use libloading::Library;
 
 use super::filters::{Context, Filter, Fronts, Passes, collect, cull};
-use crate::error::BackendError;
+use crate::error::TracerError;
 
 /// An opaque `RTCDevice`, `RTCScene` or `RTCGeometry`.
 pub type Handle = *mut c_void;
@@ -40,14 +41,14 @@ const FILTERS: c_int = 66;
 /// Sixteen rays and their hits, `RTCRayHit16`, with room for the fields that Embree 4.4 appends.
 #[repr(C, align(64))]
 pub struct RayHit16 {
-    /// Origins.
+    /// The origins of the rays.
     pub org: [[f32; 16]; 3],
-    /// Start of each ray, in lengths of its direction.
+    /// The start of each ray, in lengths of its direction.
     pub tnear: [f32; 16],
-    /// Directions.
+    /// The directions of the rays.
     pub dir: [[f32; 16]; 3],
     time: [f32; 16],
-    /// End of each ray; the hit distance afterwards.
+    /// The end of each ray; after a query, the distance of the hit.
     pub tfar: [f32; 16],
     mask: [u32; 16],
     /// The number of each ray, for filters.
@@ -55,16 +56,16 @@ pub struct RayHit16 {
     flags: [u32; 16],
     ng: [[f32; 16]; 3],
     uv: [[f32; 16]; 2],
-    /// The triangle hit.
+    /// The number of the hit triangle.
     pub prim: [u32; 16],
-    /// `u32::MAX` when nothing was hit.
+    /// The number of the hit geometry; `u32::MAX` without a hit.
     pub geom: [u32; 16],
     inst: [u32; 16],
     newer_fields: [u32; 64],
 }
 
 impl RayHit16 {
-    /// Sixteen rays without a direction and without hits.
+    /// Creates sixteen rays without a direction and without hits.
     pub fn new() -> Self {
         Self {
             org: [[0.0; 16]; 3],
@@ -88,14 +89,14 @@ impl RayHit16 {
 /// One ray and its hit, `RTCRayHit`, with room for the fields that Embree 4.4 appends.
 #[repr(C, align(64))]
 pub struct RayHit1 {
-    /// Origin.
+    /// The origin of the ray.
     pub org: [f32; 3],
-    /// Start of the ray, in lengths of its direction.
+    /// The start of the ray, in lengths of its direction.
     pub tnear: f32,
-    /// Direction.
+    /// The direction of the ray.
     pub dir: [f32; 3],
     time: f32,
-    /// End of the ray; the hit distance afterwards.
+    /// The end of the ray; after a query, the distance of the hit.
     pub tfar: f32,
     mask: u32,
     /// The number of the ray, for filters.
@@ -103,15 +104,15 @@ pub struct RayHit1 {
     flags: u32,
     ng: [f32; 3],
     uv: [f32; 2],
-    /// The triangle hit.
+    /// The number of the hit triangle.
     pub prim: u32,
-    /// `u32::MAX` when nothing was hit.
+    /// The number of the hit geometry; `u32::MAX` without a hit.
     pub geom: u32,
     newer_fields: [u32; 16],
 }
 
 impl RayHit1 {
-    /// A ray without a hit.
+    /// Creates a ray without a hit.
     pub fn new(org: [f32; 3], dir: [f32; 3], tnear: f32) -> Self {
         Self {
             org,
@@ -170,7 +171,7 @@ enum Intersect {
     V4(Intersect4, Single4),
 }
 
-/// The function that asks whether the rays of a packet meet anything.
+/// The function that determines whether the rays of a packet meet a triangle.
 enum Occluded {
     V3(Intersect3),
     V4(Intersect4),
@@ -195,13 +196,13 @@ pub struct Embree {
     set_geometry_user_data: unsafe extern "C" fn(Handle, *const c_void),
     set_geometry_intersect_filter_function: unsafe extern "C" fn(Handle, Filter),
     intersect: Intersect,
-    /// None in a library that has no such function; no bake asks for it.
+    /// `None` in a library without this function, which no bake needs.
     occluded: Option<Occluded>,
-    // Keeps the library loaded as long as the functions are used.
+    // The field keeps the library loaded as long as the functions are used.
     _library: Library,
 }
 
-/// File names in the order tried, with Embree's major version.
+/// The file names in the order of the attempts, with Embree's major version.
 const NAMES: [(&str, u32); 4] = [
     ("libembree4.so.4", 4),
     ("libembree3.so.3", 3),
@@ -210,16 +211,16 @@ const NAMES: [(&str, u32); 4] = [
 ];
 
 impl Embree {
-    /// The library of this machine, opened at the first call.
+    /// Returns the library of this machine. The first call opens it.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] with the file names tried and the package to install.
-    pub fn get() -> Result<&'static Self, BackendError> {
+    /// [`TracerError::Unavailable`] with the attempted file names and the package to install.
+    pub fn get() -> Result<&'static Self, TracerError> {
         static LIBRARY: OnceLock<Result<Embree, String>> = OnceLock::new();
         LIBRARY
             .get_or_init(Self::open)
             .as_ref()
-            .map_err(|e| BackendError::Unavailable(e.clone()))
+            .map_err(|e| TracerError::Unavailable(e.clone()))
     }
 
     fn open() -> Result<Self, String> {
@@ -249,11 +250,11 @@ impl Embree {
         /// # Safety
         /// `T` must be the function's type.
         unsafe fn f<T: Copy>(library: &Library, name: &[u8]) -> Result<T, libloading::Error> {
-            // SAFETY: the caller gives the type.
+            // SAFETY: the caller guarantees the type.
             unsafe { library.get::<T>(name) }.map(|s| *s)
         }
-        // SAFETY: the types are those of Embree's headers, which are the same in both versions except for
-        // `rtcIntersect16`, `rtcIntersect1` and `rtcOccluded16`. The version in the file name chooses the
+        // SAFETY: the types follow Embree's headers, which are the same in both versions except for
+        // `rtcIntersect16`, `rtcIntersect1` and `rtcOccluded16`. The version in the file name selects the
         // types of these three.
         unsafe {
             Ok(Self {
@@ -305,22 +306,22 @@ pub struct Device {
 
 // SAFETY: Embree's devices may be used from any thread (its manual, "Device Object").
 unsafe impl Send for Device {}
-// SAFETY: as above; the calls made here take no exclusive access.
+// SAFETY: as above; the calls in this module need no exclusive access.
 unsafe impl Sync for Device {}
 
 impl Device {
     /// Opens a device with a configuration string of Embree.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when Embree is not installed or does not support this processor.
-    pub fn new(config: &CStr) -> Result<Self, BackendError> {
+    /// [`TracerError::Unavailable`] if Embree is not installed or does not support this processor.
+    pub fn new(config: &CStr) -> Result<Self, TracerError> {
         let embree = Embree::get()?;
         // SAFETY: `config` is a C string that outlives the call.
         let handle = unsafe { (embree.new_device)(config.as_ptr()) };
         if handle.is_null() {
             // SAFETY: a null device is allowed; the call then returns the error of device creation.
             let code = unsafe { (embree.get_device_error)(std::ptr::null_mut()) };
-            return Err(BackendError::Unavailable(match code {
+            return Err(TracerError::Unavailable(match code {
                 4 => "Embree could not start: not enough memory".to_owned(),
                 _ => format!(
                     "Embree could not start (error {code}; 5 means that the processor is not supported); use \
@@ -331,7 +332,7 @@ impl Device {
         Ok(Self { embree, handle })
     }
 
-    /// Embree's version as `major.minor.patch`.
+    /// Returns Embree's version as `major.minor.patch`.
     pub fn version(&self) -> String {
         let part = |p: c_int| {
             // SAFETY: the handle is a live device.
@@ -340,7 +341,7 @@ impl Device {
         VERSION.map(|p| part(p).to_string()).join(".")
     }
 
-    /// Whether filters are called.
+    /// Returns true if this build of Embree calls filters.
     pub fn has_filters(&self) -> bool {
         // SAFETY: the handle is a live device.
         unsafe { (self.embree.get_device_property)(self.handle, FILTERS) != 0 }
@@ -365,13 +366,14 @@ impl Drop for Device {
 
 /// The triangles of one of Embree's geometries.
 pub struct Layer<I> {
-    /// Their number.
+    /// The number of triangles.
     pub count: usize,
-    /// The nine floats of each are its three vertices.
+    /// The nine floats of each triangle's three vertices.
     pub triangles: I,
-    /// Rays do not meet a triangle from behind when there is one for each.
+    /// The front of each triangle, for triangles that rays do not meet from behind; `None` if both sides are
+    /// met.
     pub fronts: Option<Fronts>,
-    /// Rays go on behind these triangles, and list them.
+    /// True if rays continue behind these triangles and list them.
     pub is_passed: bool,
 }
 
@@ -379,7 +381,7 @@ pub struct Layer<I> {
 pub struct TriangleScene {
     device: Arc<Device>,
     handle: Handle,
-    /// Read by the filters, whose user data points to them; released after the scene.
+    /// The fronts that the filters read through their user data; released after the scene.
     fronts: Vec<Arc<Fronts>>,
 }
 
@@ -389,10 +391,10 @@ unsafe impl Send for TriangleScene {}
 unsafe impl Sync for TriangleScene {}
 
 impl TriangleScene {
-    /// Builds the hierarchy over all layers. Embree numbers the geometries in their order.
+    /// Builds the hierarchy over all layers. Embree numbers the geometries in the order of the layers.
     ///
     /// # Errors
-    /// Embree's error, usually too little memory.
+    /// Embree's error, usually that the memory is too small.
     pub fn new<I: Iterator<Item = [f32; 9]>>(
         device: &Arc<Device>,
         layers: impl IntoIterator<Item = Layer<I>>,
@@ -469,7 +471,7 @@ impl TriangleScene {
     }
 
     /// Finds the nearest hit of each ray whose `valid` entry is −1. Rays with similar directions are fastest.
-    /// Needs `passes` when a layer is passed.
+    /// Requires `passes` if rays pass a layer.
     pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16, passes: Option<&mut Passes>) {
         /// `valid` with the alignment that Embree requires, 64 bytes.
         #[repr(align(64))]
@@ -491,13 +493,15 @@ impl TriangleScene {
         }
     }
 
-    /// Whether [`Self::occluded`] can be asked.
+    /// Returns true if the library supports [`Self::occluded`].
     pub fn has_occluded(&self) -> bool {
         self.device.embree.occluded.is_some()
     }
 
-    /// Whether each ray whose `valid` entry is −1 meets anything: then its `tfar` is −∞ afterwards. Not for
-    /// scenes with a layer that is passed. Does nothing where the library has no such function.
+    /// Sets `tfar` to −∞ for each ray that meets a triangle and whose `valid` entry is −1.
+    ///
+    /// The scene must not have a layer that rays pass. The function has no effect if the library does not
+    /// support it.
     pub fn occluded(&self, valid: &[i32; 16], rays: &mut RayHit16) {
         /// `valid` with the alignment that Embree requires, 64 bytes.
         #[repr(align(64))]
@@ -520,7 +524,7 @@ impl TriangleScene {
         }
     }
 
-    /// Finds the nearest hit of one ray. Needs `passes` when a layer is passed.
+    /// Finds the nearest hit of one ray. Requires `passes` if rays pass a layer.
     pub fn intersect_one(&self, ray: &mut RayHit1, passes: Option<&mut Passes>) {
         let passes = passes.map_or(std::ptr::null_mut(), |p| &raw mut *p);
         match self.device.embree.intersect {

@@ -1,9 +1,9 @@
-//! The cpu backend: visibility cubes and sight lines traced with Embree. Cubes use coherent packets of
-//! sixteen rays (4 × 4 pixels).
+//! The embree backend, which traces visibility cubes and sight lines with the library Embree. Cubes use
+//! coherent packets of sixteen rays (4 × 4 pixels).
 //!
-//! Results are the same to the bit on every run: the hierarchy does not depend on the number of threads that
-//! build it, the instruction set is fixed, and a packet always holds the same sixteen pixels. Samples are
-//! spread over the threads of the current rayon pool.
+//! Results are equal to the bit on every run. The hierarchy does not depend on the number of threads that
+//! build it, the instruction set is fixed, and a packet always contains the same sixteen pixels. Samples are
+//! distributed over the threads of the current rayon pool.
 
 mod filters;
 mod library;
@@ -16,85 +16,73 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use sightline_scene::{Scene, Triangle};
+use sightline_scene::{Scene, Triangle, TriangleId};
 
 pub use self::occlusion::Occlusion;
 
 use self::filters::Passes;
 use self::library::{Device, Layer, RayHit1, RayHit16, TriangleScene};
-use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::{CubeImage, CubeSpec, SKY, face_basis};
-use crate::error::BackendError;
-use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
+use crate::error::TracerError;
+use crate::packet::{Halves, LANES, LineTracer, Packet, PassingTracer};
 use crate::reduce::Reducer;
+use crate::tracer::{CubeRenderer, LineSet, Tracer};
+use crate::width::{self, TooNarrow};
 use sightline_model::VisibilitySample;
 
-/// Smallest width of a scene. Products of three lengths of a smaller scene lose digits in single precision,
-/// and then rays pass through its triangles.
+/// The minimum width of a scene. Products of three lengths of a smaller scene lose digits in single
+/// precision, so rays would pass through its triangles.
 const MIN_WIDTH: f32 = 1e-9;
 
-/// A scene that is too narrow for Embree.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "the scene is only {0:e} wide, and --backend cpu misses triangles of scenes below {MIN_WIDTH:e}; scale \
-     the scene up, or use --backend gpu"
-)]
-pub struct TooNarrow(f32);
-
-/// Checks the width of a scene. A scene whose triangles are all in one point shows nothing, and passes.
+/// Checks the width of a scene.
 ///
 /// # Errors
-/// [`TooNarrow`] below 10⁻⁹.
+/// [`TooNarrow`] if the width is below 10⁻⁹.
 pub fn check_width(scene: &Scene) -> Result<(), TooNarrow> {
-    let width = (scene.bounds().max - scene.bounds().min).max_element();
-    if width > 0.0 && width < MIN_WIDTH {
-        Err(TooNarrow(width))
-    } else {
-        Ok(())
-    }
+    width::check(scene, "embree", MIN_WIDTH)
 }
 
-/// Embree bound to a scene.
-pub struct CpuBackend {
+/// An Embree device for a scene.
+pub struct EmbreeBackend {
     scene: Arc<Scene>,
     spec: CubeSpec,
     device: Arc<Device>,
     profile: String,
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
-    /// Hierarchies over the triangles that sight lines can hit, by [`LineSet`].
+    /// The hierarchies over the triangles that sight lines can hit, by [`LineSet`].
     lines: [OnceLock<Result<Arc<Hierarchy>, String>>; LineSet::COUNT],
-    /// The hierarchy over those that end a line and those that it passes.
+    /// The hierarchy over the triangles that end lines and the triangles that lines pass.
     together: OnceLock<Result<Arc<Hierarchy>, String>>,
 }
 
 /// A committed hierarchy and the ids of its triangles.
 struct Hierarchy {
     scene: TriangleScene,
-    /// Triangle id for each of Embree's triangle numbers; ascending.
+    /// The triangle id for each of Embree's triangle numbers, in ascending order.
     ids: Vec<u32>,
-    /// The same for the triangles that rays pass.
+    /// The ids of the triangles that rays pass, for each of Embree's numbers, in ascending order.
     passed: Vec<u32>,
 }
 
-impl CpuBackend {
+impl EmbreeBackend {
     /// Opens Embree for `scene`.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here,
-    /// [`BackendError::Failed`] for a scene that is too large or too small for single precision.
-    pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
-        // The number of threads that build the hierarchy does not change the bytes
-        // (test `however_many_threads_build_it_the_hierarchy_is_the_same`).
+    /// [`TracerError::Unavailable`] if Embree is not installed or cannot run here, [`TracerError::Failed`] if
+    /// the scene is too large or too small for single precision.
+    pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, TracerError> {
+        // The number of threads that build the hierarchy does not change the bytes (test
+        // `hierarchy_does_not_depend_on_build_threads`).
         let device = Self::open(rayon::current_num_threads())?;
         let profile = profile(&device);
         if let Err(e) = scene.check_reach("the scene") {
-            return Err(BackendError::Failed {
+            return Err(TracerError::Failed {
                 profile,
                 reason: e.to_string(),
             });
         }
         if let Err(e) = check_width(&scene) {
-            return Err(BackendError::Failed {
+            return Err(TracerError::Failed {
                 profile,
                 reason: e.to_string(),
             });
@@ -110,25 +98,25 @@ impl CpuBackend {
         })
     }
 
-    /// The numerics profile of this backend on this machine.
+    /// Returns the numerics profile of this backend on this machine.
     ///
     /// # Errors
-    /// As [`CpuBackend::new`].
-    pub fn probe() -> Result<String, BackendError> {
+    /// The errors of [`EmbreeBackend::new`].
+    pub fn probe() -> Result<String, TracerError> {
         // The number of threads is not part of the profile.
         Ok(profile(&Self::open(1)?))
     }
 
     /// Opens Embree with `threads` threads for building hierarchies. AVX-512 is excluded because its packets
-    /// round differently from those of AVX2.
-    fn open(threads: usize) -> Result<Device, BackendError> {
+    /// round differently from AVX2 packets.
+    fn open(threads: usize) -> Result<Device, TracerError> {
         let config = format!("threads={threads},set_affinity=0,max_isa=avx2\0");
         let config = CStr::from_bytes_until_nul(config.as_bytes())
-            .map_err(|e| BackendError::Unavailable(format!("Embree cannot be configured: {e}")))?;
+            .map_err(|e| TracerError::Unavailable(format!("Embree cannot be configured: {e}")))?;
         Device::new(config)
     }
 
-    /// A hierarchy over the triangles that end rays, all when `None`, and over those that rays pass.
+    /// Builds a hierarchy over the triangles that end rays (all if `None`) and the triangles that rays pass.
     fn build(&self, ending: Option<&[u32]>, passed: &[u32]) -> Result<Arc<Hierarchy>, String> {
         let seen = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
         let ids: Vec<u32> = match ending {
@@ -145,7 +133,7 @@ impl CpuBackend {
         Ok(Arc::new(Hierarchy { scene, ids, passed }))
     }
 
-    /// The triangles `ids` for Embree.
+    /// Returns the triangles `ids` as a layer for Embree.
     fn layer<'b>(
         &'b self,
         ids: &'b [u32],
@@ -160,20 +148,23 @@ impl CpuBackend {
             triangles: ids.iter().map(flat),
             fronts: one_sided.then(|| {
                 ids.iter()
-                    .map(|id| self.scene.front(*id).to_array())
+                    .map(|id| self.scene.front(TriangleId(*id)).to_array())
                     .collect()
             }),
             is_passed,
         }
     }
 
-    /// The tracer of a hierarchy.
-    fn tracer(&self, hierarchy: Result<Arc<Hierarchy>, String>) -> Result<CpuTracer, BackendError> {
-        let failed = |reason| BackendError::Failed {
+    /// Creates the tracer of a hierarchy.
+    fn tracer(
+        &self,
+        hierarchy: Result<Arc<Hierarchy>, String>,
+    ) -> Result<EmbreeTracer, TracerError> {
+        let failed = |reason| TracerError::Failed {
             profile: self.profile.clone(),
             reason,
         };
-        Ok(CpuTracer {
+        Ok(EmbreeTracer {
             hierarchy: hierarchy.map_err(failed)?,
             near: crate::near_distance(self.scene.bounds()),
         })
@@ -182,15 +173,15 @@ impl CpuBackend {
 
 fn profile(device: &Device) -> String {
     format!(
-        "cpu/embree-{}/{}/{}",
+        "embree/{}/{}/{}",
         device.version(),
         instruction_set(),
         vendor()
     )
 }
 
-/// The maker of the processor. It is part of the profile because Embree computes reciprocals from a hardware
-/// approximation that differs between makers.
+/// Returns the maker of the processor. The maker is part of the profile because Embree computes reciprocals
+/// from a hardware approximation that differs between makers.
 fn vendor() -> String {
     #[cfg(target_arch = "x86_64")]
     {
@@ -210,7 +201,7 @@ fn vendor() -> String {
     }
 }
 
-/// The instruction set that Embree chooses with `max_isa=avx2`.
+/// Returns the instruction set that Embree selects with `max_isa=avx2`.
 fn instruction_set() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
@@ -229,12 +220,12 @@ fn instruction_set() -> &'static str {
     }
 }
 
-impl Backend for CpuBackend {
+impl Tracer for EmbreeBackend {
     fn profile(&self) -> &str {
         &self.profile
     }
 
-    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, TracerError> {
         let hierarchy = self.lines[set as usize].get_or_init(|| self.build(Some(ids), &[]));
         Ok(Box::new(self.tracer(hierarchy.clone())?))
     }
@@ -243,8 +234,8 @@ impl Backend for CpuBackend {
         &self,
         blocking: &[u32],
         see_through: &[u32],
-    ) -> Result<Option<Box<dyn PassingTracer + '_>>, BackendError> {
-        // A build of Embree without filters traces among the see-through triangles by themselves.
+    ) -> Result<Option<Box<dyn PassingTracer + '_>>, TracerError> {
+        // A build of Embree without filters traces among the see-through triangles separately.
         if !self.device.has_filters() {
             return Ok(None);
         }
@@ -254,20 +245,17 @@ impl Backend for CpuBackend {
         Ok(Some(Box::new(self.tracer(hierarchy.clone())?)))
     }
 
-    fn prepare(
-        &self,
-        superset: Option<&[u32]>,
-    ) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, TracerError> {
         let hierarchy = match superset {
             Some(_) => self.build(superset, &[]),
             None => self.whole.get_or_init(|| self.build(None, &[])).clone(),
         }
-        .map_err(|reason| BackendError::Failed {
+        .map_err(|reason| TracerError::Failed {
             profile: self.profile.clone(),
             reason,
         })?;
         let near = crate::near_distance(self.scene.bounds());
-        Ok(Box::new(CpuRenderer {
+        Ok(Box::new(EmbreeRenderer {
             hierarchy,
             spec: self.spec,
             near,
@@ -276,14 +264,14 @@ impl Backend for CpuBackend {
     }
 }
 
-/// Traces packets through one hierarchy.
-struct CpuTracer {
+/// A tracer of packets through one hierarchy.
+struct EmbreeTracer {
     hierarchy: Arc<Hierarchy>,
     near: f32,
 }
 
-impl CpuTracer {
-    /// Traces a packet up to a distance for each lane. Needs `passes` when the hierarchy has triangles that
+impl EmbreeTracer {
+    /// Traces a packet up to a distance for each lane. Requires `passes` if the hierarchy has triangles that
     /// rays pass.
     fn packet(
         &self,
@@ -325,23 +313,8 @@ impl CpuTracer {
     }
 }
 
-impl LineTracer for CpuTracer {
-    fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
-        let mut rays = RayHit16::new();
-        packets
-            .iter_mut()
-            .for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16], None));
-        Ok(())
-    }
-
-    fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
-        for p in packets {
-            (0..p.count).for_each(|l| self.lane(p, l, f32::INFINITY, None));
-        }
-        Ok(())
-    }
-
-    fn trace_within(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
+impl LineTracer for EmbreeTracer {
+    fn trace(&self, packets: &mut [Packet], _: Halves, coherent: bool) -> Result<(), TracerError> {
         let mut rays = RayHit16::new();
         for p in packets {
             let until = p.distance;
@@ -355,13 +328,14 @@ impl LineTracer for CpuTracer {
     }
 }
 
-impl PassingTracer for CpuTracer {
+impl PassingTracer for EmbreeTracer {
     fn trace_passing(
         &self,
         packets: &mut [Packet],
+        _: Halves,
         coherent: bool,
         found: &mut Vec<(u32, u32, f32)>,
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         let mut rays = RayHit16::new();
         rays.id = std::array::from_fn(|l| l as u32);
         let mut passes = Passes::new();
@@ -391,17 +365,17 @@ impl PassingTracer for CpuTracer {
     }
 }
 
-/// Traces cubes through one hierarchy.
-struct CpuRenderer {
+/// A renderer that traces cubes through one hierarchy.
+struct EmbreeRenderer {
     hierarchy: Arc<Hierarchy>,
     spec: CubeSpec,
     near: f32,
-    /// Scratch memory of the reduction, one for each thread that samples.
+    /// The scratch memory of the reduction, one for each thread that samples.
     reducers: Mutex<Vec<Reducer>>,
 }
 
-impl CpuRenderer {
-    /// Traces one cube. The image holds Embree's triangle numbers; [`Self::to_ids`] maps them to ids.
+impl EmbreeRenderer {
+    /// Traces one cube. The image contains Embree's triangle numbers; [`Self::to_ids`] maps them to ids.
     fn trace(&self, point: Vec3) -> CubeImage {
         let n = self.spec.resolution;
         let mut ids = vec![SKY; (6 * n * n) as usize];
@@ -449,14 +423,15 @@ impl CpuRenderer {
 
     fn sample(&self, point: Vec3) -> VisibilitySample {
         let image = self.trace(point);
-        // The lock is poisoned when another sample panicked; then new scratch memory is allocated.
+        // The lock is poisoned if another sample panicked; then new scratch memory is allocated.
         let pop = || self.reducers.lock().ok().and_then(|mut r| r.pop());
         let mut reducer = pop().unwrap_or_else(|| Reducer::new(self.hierarchy.ids.len()));
         let mut sample = reducer.reduce(&image, self.spec.strata);
         if let Ok(mut pool) = self.reducers.lock() {
             pool.push(reducer);
         }
-        // The hierarchy's `ids` ascend, so the mapping keeps the order, and the least of equals stays least.
+        // The hierarchy's `ids` ascend, so the mapping preserves the order, and the lowest of equal ids
+        // remains the lowest.
         for id in &mut sample.ids {
             *id = self.hierarchy.ids[*id as usize];
         }
@@ -475,12 +450,12 @@ impl CpuRenderer {
     }
 }
 
-impl CubeRenderer for CpuRenderer {
-    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
+impl CubeRenderer for EmbreeRenderer {
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, TracerError> {
         Ok(points.par_iter().map(|p| self.sample(*p)).collect())
     }
 
-    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+    fn image(&self, point: Vec3) -> Result<CubeImage, TracerError> {
         Ok(self.to_ids(self.trace(point)))
     }
 }

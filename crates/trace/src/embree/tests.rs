@@ -1,19 +1,19 @@
-//! Tests of determinism: the order of the hierarchy decides between hits at equal distance, so the hierarchy
+//! Tests of determinism. The order of the hierarchy decides between hits at equal distance, so the hierarchy
 //! must not depend on the number of threads that build it. Embree promises this since version 2.5 for all
-//! builders except the one of high quality (Embree issue 20).
+//! builders except the builder of high quality (Embree issue 20).
 
 use std::sync::Arc;
 
 use glam::Vec3;
 
 use super::library::{Device, Layer, RayHit1, TriangleScene};
-use super::{CpuBackend, CpuTracer, Hierarchy};
+use super::{EmbreeBackend, EmbreeTracer, Hierarchy};
 use crate::cube::SKY;
-use crate::error::BackendError;
-use crate::packet::{LANES, LineTracer, Packet};
+use crate::error::TracerError;
+use crate::packet::{Halves, LANES, LineTracer, Packet};
 use crate::sequence::Hashed;
 
-/// Triangles on a coarse lattice: many overlap, are coplanar or are equal.
+/// Returns triangles on a coarse lattice. Many of them overlap, are coplanar or are equal.
 fn soup(count: usize) -> Vec<[f32; 9]> {
     let mut state = 7u64;
     let mut random = move |below: u64| {
@@ -32,7 +32,7 @@ fn soup(count: usize) -> Vec<[f32; 9]> {
         .collect()
 }
 
-/// Triangles that end rays and have two sides.
+/// Returns a layer of triangles that end rays and have two sides.
 fn layer(triangles: &[[f32; 9]]) -> Layer<impl Iterator<Item = [f32; 9]> + '_> {
     Layer {
         count: triangles.len(),
@@ -42,11 +42,11 @@ fn layer(triangles: &[[f32; 9]]) -> Layer<impl Iterator<Item = [f32; 9]> + '_> {
     }
 }
 
-/// The device, or `None` without Embree. Under `CI` a missing Embree is a failure.
+/// Opens a device, or returns `None` without Embree. Under `CI`, a missing Embree is a failure.
 fn device(threads: usize) -> Option<Arc<Device>> {
-    match CpuBackend::open(threads) {
+    match EmbreeBackend::open(threads) {
         Ok(device) => Some(Arc::new(device)),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");
             None
         }
@@ -55,7 +55,7 @@ fn device(threads: usize) -> Option<Arc<Device>> {
 }
 
 #[test]
-fn rays_by_themselves_meet_what_they_meet_in_packets() {
+fn single_rays_meet_same_triangles_as_packets() {
     let triangles = soup(20_000);
     let Some(device) = device(1) else { return };
     let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
@@ -64,7 +64,7 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
         ids: (0..triangles.len() as u32).collect(),
         passed: Vec::new(),
     });
-    let tracer = CpuTracer {
+    let tracer = EmbreeTracer {
         hierarchy,
         near: 0.0,
     };
@@ -80,13 +80,13 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
         })
         .collect();
     let mut singly = packets.clone();
-    tracer.trace(&mut packets).unwrap();
-    tracer.trace_each(&mut singly).unwrap();
+    tracer.trace(&mut packets, Halves::Rays, true).unwrap();
+    tracer.trace(&mut singly, Halves::Rays, false).unwrap();
     let (mut met, mut other) = (0, 0);
     for (a, b) in packets.iter().zip(&singly) {
         for lane in 0..LANES {
             met += u32::from(a.triangle[lane] != SKY);
-            // Of overlapping triangles either one may be hit, but at the same distance.
+            // If triangles overlap, either may be hit, but at the same distance.
             other += u32::from(a.triangle[lane] != b.triangle[lane]);
             let (far, near) = (a.distance[lane], b.distance[lane]);
             assert!(
@@ -99,7 +99,7 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
 }
 
 #[test]
-fn however_many_threads_build_it_the_hierarchy_is_the_same() {
+fn hierarchy_does_not_depend_on_build_threads() {
     let triangles = soup(150_000);
     let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
     for threads in [1, 2, 3, 8] {
@@ -109,8 +109,8 @@ fn however_many_threads_build_it_the_hierarchy_is_the_same() {
         let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);
-            // Vertical rays through lattice points and edges, where many triangles are hit at equal
-            // distance, and oblique rays.
+            // Vertical rays through lattice points and edges, where many triangles are hit at equal distance,
+            // and oblique rays.
             let direction = if i.is_multiple_of(2) {
                 [0.0, 0.0, -1.0]
             } else {

@@ -1,13 +1,14 @@
-//! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
+//! The adapters of this machine: their list, their choice, their numerics profiles and their devices.
 
 use std::sync::OnceLock;
 
 use super::choice::{AdapterChoice, AdapterSummary};
 use super::spare::{self, Opened};
-use crate::error::BackendError;
+use crate::error::TracerError;
 
-/// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software. Starting
-/// the drivers takes tenths of a second, so they are listed once a process.
+/// Returns the adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software.
+///
+/// Starting the drivers costs tenths of a second, so they are listed once per process.
 pub fn adapters() -> Vec<AdapterSummary> {
     LISTED
         .get_or_init(|| summaries(&look_for_adapters()))
@@ -21,10 +22,11 @@ fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
         .collect()
 }
 
-/// Whether this machine may have a hardware GPU: whether a device file exists that GPU drivers need. This
-/// test is far cheaper than starting all drivers. It returns true on systems other than Linux and where
-/// `/dev` cannot be read. Many virtual machines have a render node without a GPU; there the drivers are
-/// started in vain, but the result is right.
+/// Returns true if this machine may have a hardware GPU, that is, a device file that GPU drivers need.
+///
+/// This test is far cheaper than starting all drivers. It returns true on systems other than Linux and if
+/// `/dev` cannot be read. Many virtual machines have a render node without a GPU. On such machines the
+/// drivers are started in vain, but the result is correct.
 pub fn device_present() -> bool {
     let named = |entries: std::fs::ReadDir, is: fn(&str) -> bool| {
         entries
@@ -36,13 +38,15 @@ pub fn device_present() -> bool {
         || std::fs::read_dir("/dev/dri").is_ok_and(|entries| named(entries, is_render_node))
 }
 
-/// Whether `name` in `/dev/dri` is a render node of a kernel driver.
+/// Returns true if `name` in `/dev/dri` is a render node of a kernel driver.
 fn is_render_node(name: &str) -> bool {
     name.starts_with("renderD")
 }
 
-/// Whether `name` in `/dev` belongs to a driver that does not use render nodes: NVIDIA, AMD's compute driver,
-/// Windows Subsystem for Linux, ARM, Qualcomm, Imagination.
+/// Returns true if `name` in `/dev` belongs to a driver that does not use render nodes.
+///
+/// These are the drivers of NVIDIA, AMD's compute driver, Windows Subsystem for Linux, ARM, Qualcomm, and
+/// Imagination.
 fn is_gpu(name: &str) -> bool {
     [
         "nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr",
@@ -51,18 +55,18 @@ fn is_gpu(name: &str) -> bool {
     .any(|p| name.starts_with(p))
 }
 
-/// What [`adapters`] has found.
+/// The result of [`adapters`].
 static LISTED: OnceLock<Vec<AdapterSummary>> = OnceLock::new();
 
 /// Starts the drivers and lists their adapters, best first.
 fn look_for_adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // No validation layers, in debug builds too: they cost time and change no result.
+    // Validation layers are off, also in debug builds: they cost time and do not change results.
     descriptor.flags = wgpu::InstanceFlags::empty();
     descriptor.backends = wgpu::Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);
     let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
-    // The sort is stable: adapters of the same kind stay in the driver's order.
+    // The sort is stable: adapters of the same kind keep the driver's order.
     adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,
@@ -99,7 +103,7 @@ fn summary(info: &wgpu::AdapterInfo) -> AdapterSummary {
     }
 }
 
-/// `text` as printable ASCII without the profile's separator; never empty.
+/// Converts `text` to printable ASCII without the profile's separator. The result is never empty.
 fn sanitised(text: &str) -> String {
     let plain: String = text
         .trim()
@@ -112,7 +116,7 @@ fn sanitised(text: &str) -> String {
             }
         })
         .collect();
-    // A profile has three such fields, so each is kept short.
+    // A profile has three such fields, so each is short.
     let plain: String = plain.chars().take(40).collect();
     if plain.is_empty() {
         "unknown".to_owned()
@@ -121,21 +125,21 @@ fn sanitised(text: &str) -> String {
     }
 }
 
-/// The numerics profile of the adapter that `choice` selects on this machine.
+/// Returns the numerics profile of the adapter that `choice` selects on this machine.
 ///
 /// # Errors
-/// [`BackendError::Unavailable`] when no adapter fits or none can be opened.
-pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
+/// [`TracerError::Unavailable`] if no adapter fits or no fitting adapter can be opened.
+pub fn probe(choice: &AdapterChoice) -> Result<String, TracerError> {
     let opened = open(choice)?;
     let profile = opened.summary.profile.clone();
-    // The next backend of that choice takes it.
+    // The next backend with this choice uses the device.
     spare::give_back(opened);
     Ok(profile)
 }
 
 /// Opens the best adapter that `choice` allows and that can be opened, with the largest limits that it
-/// supports. One that fails is named in the log.
-pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
+/// supports. The log names adapters that fail.
+pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, TracerError> {
     if let Some(opened) = spare::take(choice) {
         return Ok(opened);
     }
@@ -146,11 +150,11 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     opened
 }
 
-/// As [`open`], without a spare device.
-fn open_new(choice: &AdapterChoice) -> Result<Opened, BackendError> {
+/// Opens an adapter like [`open`], but never uses a spare device.
+fn open_new(choice: &AdapterChoice) -> Result<Opened, TracerError> {
     let adapters = look_for_adapters();
     if adapters.is_empty() {
-        return Err(BackendError::Unavailable(
+        return Err(TracerError::Unavailable(
             "no Vulkan adapter: install a driver (for example `apt-get install mesa-vulkan-drivers \
                 libvulkan1`) \
              or use --backend cpu"
@@ -158,7 +162,7 @@ fn open_new(choice: &AdapterChoice) -> Result<Opened, BackendError> {
         ));
     }
     let all = summaries(&adapters);
-    // Whoever lists the adapters next need not start the drivers again.
+    // The next listing of the adapters does not need to start the drivers again.
     let _ = LISTED.set(all.clone());
     let there = || {
         all.iter()
@@ -166,7 +170,7 @@ fn open_new(choice: &AdapterChoice) -> Result<Opened, BackendError> {
             .collect::<Vec<_>>()
             .join("; ")
     };
-    let mut refused = BackendError::Unavailable(match choice {
+    let mut refused = TracerError::Unavailable(match choice {
         AdapterChoice::Named(part) => format!(
             "no adapter is named like \"{part}\"; there are: {}",
             there()
@@ -204,13 +208,13 @@ fn open_one(
     adapter: &wgpu::Adapter,
     summary: &AdapterSummary,
     choice: &AdapterChoice,
-) -> Result<Opened, BackendError> {
+) -> Result<Opened, TracerError> {
     if !adapter
         .get_downlevel_capabilities()
         .flags
         .contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
     {
-        return Err(BackendError::Unavailable(format!(
+        return Err(TracerError::Unavailable(format!(
             "the adapter {} has no compute shaders; update its driver or use --backend cpu",
             summary.name
         )));
@@ -222,7 +226,7 @@ fn open_one(
         ..Default::default()
     };
     let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
-        BackendError::Unavailable(format!(
+        TracerError::Unavailable(format!(
             "the adapter {} cannot be opened: {e}; update its driver or use --backend cpu",
             summary.name
         ))
@@ -240,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gpus_are_known_by_their_device_files() {
+    fn device_files_identify_gpus() {
         assert!(
             ["nvidia0", "nvidiactl", "kfd", "dxg", "mali0", "kgsl-3d0"]
                 .iter()

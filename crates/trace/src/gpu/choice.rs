@@ -1,11 +1,11 @@
-//! What chooses an adapter, and what is told about one.
+//! The choice of an adapter, and the description of an adapter.
 
-/// Which adapter to use.
+/// The choice of an adapter.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum AdapterChoice {
-    /// A GPU; software rasterisers do not count.
+    /// A GPU. Software rasterisers are excluded.
     Hardware,
-    /// A GPU if there is one, else a software rasteriser such as lavapipe.
+    /// A GPU if the machine has one, otherwise a software rasteriser such as lavapipe.
     #[default]
     AllowSoftware,
     /// The first adapter whose name contains this text, ignoring case.
@@ -25,14 +25,14 @@ impl AdapterChoice {
 /// An adapter of this machine, for diagnostics.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AdapterSummary {
-    /// Its name, as the driver gives it.
+    /// The name of the adapter, as the driver reports it.
     pub name: String,
-    /// Name and version of the driver.
+    /// The name and version of the driver.
     pub driver: String,
     /// The graphics interface of the driver, for example `vulkan`.
     pub interface: String,
-    /// Whether it rasterises on the CPU.
+    /// True if the adapter rasterises on the CPU.
     pub software: bool,
-    /// The numerics profile a backend on it would have.
+    /// The numerics profile of a backend on this adapter.
     pub profile: String,
 }

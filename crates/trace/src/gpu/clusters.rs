@@ -1,7 +1,7 @@
 //! The drawing order of triangles, and the culling of clusters (runs of that order) against the faces of a
 //! cube.
 //!
-//! The order is a property of the scene: large triangles first, since they hide most, then along a Morton
+//! The order is a property of the scene: large triangles first, because they hide most, then along a Morton
 //! curve, then by id. A superset is drawn in the same order, so that the winner of two coincident triangles
 //! does not depend on the superset.
 
@@ -9,14 +9,15 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Aabb, Scene, Triangle};
 
-/// Triangles in a cluster; the last cluster may have fewer. Small, since most triangles of a cluster at the
-/// border of a face are drawn in vain. Of the sizes from 32 to 256, 64 was the fastest.
+/// The number of triangles in a cluster; the last cluster may have fewer. The number is small, because most
+/// triangles of a cluster at the border of a face are drawn in vain. Of the sizes from 32 to 256, 64 was the
+/// fastest.
 pub(super) const CLUSTER: usize = 64;
 
-/// Bits of the Morton code for each axis.
+/// The number of bits of the Morton code for each axis.
 const BITS: u32 = 20;
 
-/// Ids of the triangles that are not degenerate, in drawing order.
+/// Returns the ids of the triangles that are not degenerate, in drawing order.
 pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
     let bounds = scene.bounds();
     let mut keyed: Vec<(u64, u32)> = scene
@@ -30,8 +31,8 @@ pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
     keyed.into_iter().map(|(_, id)| id).collect()
 }
 
-/// Sort key: the size class, then the Morton code of the centre of the triangle's box. Without classes, a few
-/// large triangles would enlarge the boxes of clusters of small triangles.
+/// Computes the sort key: the size class, then the Morton code of the centre of the triangle's box. Without
+/// classes, a few large triangles would enlarge the boxes of clusters of small triangles.
 fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
     let to_double = |v: Vec3| v.as_dvec3();
     let (size, b) = (
@@ -47,14 +48,14 @@ fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
     let centre = (to_double(b.min) + to_double(b.max)) * 0.5 - to_double(bounds.min);
     let cells = f64::from((1u32 << BITS) - 1);
     let code = (0..3).fold(0, |code, axis| {
-        // The float-to-integer cast saturates, and an axis without extent gives 0 or NaN, which becomes 0.
+        // The float-to-integer cast saturates. An axis without extent results in 0 or NaN, which becomes 0.
         let cell = (centre[axis] / size[axis] * cells) as u64;
         code | (spread(cell.min((1 << BITS) - 1)) << axis)
     });
     ((class as u64) << (3 * BITS)) | code
 }
 
-/// Puts two zero bits above each of the low 20 bits of `x` (the usual Morton masks).
+/// Inserts two zero bits above each of the low 20 bits of `x` (the usual Morton masks).
 fn spread(x: u64) -> u64 {
     let x = (x | (x << 32)) & 0x001f_0000_0000_ffff;
     let x = (x | (x << 16)) & 0x001f_0000_ff00_00ff;
@@ -63,18 +64,18 @@ fn spread(x: u64) -> u64 {
     (x | (x << 2)) & 0x1249_2492_4924_9249
 }
 
-/// The faces on which a box may be visible from `eye`; bit f stands for face f.
+/// Returns the faces on which a box may be visible from `eye`; bit f is face f.
 ///
-/// Conservative: rounding is monotone, so the differences here bound the differences of the vertex shader. A
-/// vertex that the shader places inside a face's pyramid is inside by this test, too.
+/// The test is conservative: rounding is monotone, so the differences here bound the differences of the
+/// vertex shader. A vertex that the shader places inside a face's pyramid is also inside by this test.
 pub(super) fn faces_touched(bounds: &Aabb, eye: Vec3) -> u32 {
     let (lo, hi) = (bounds.min - eye, bounds.max - eye);
     let mut faces = 0;
     for axis in 0..3 {
         let (r, u) = ((axis + 1) % 3, (axis + 2) % 3);
         for (side, forward) in [hi[axis], -lo[axis]].into_iter().enumerate() {
-            // The greatest forward distance against the least |right| and |up|, for the four sides of the
-            // pyramid.
+            // The largest forward distance is compared with the smallest |right| and |up|, for the four sides
+            // of the pyramid.
             let inside = forward > 0.0
                 && forward >= lo[r]
                 && forward >= -hi[r]
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_box_is_on_the_face_it_lies_on() {
+    fn small_box_touches_only_its_face() {
         for face in 0..6u32 {
             let [forward, right, _] = crate::cube::face_basis(face);
             let at = |p: Vec3| Aabb {
@@ -118,7 +119,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// The box of a vertex that the shader places in a face's pyramid is kept for that face.
+        /// Checks that the box of a vertex that the shader places in a face's pyramid is drawn for that face.
         #[test]
         fn no_visible_vertex_is_culled(
             eye in proptest::array::uniform3(-1e3f32..1e3),
@@ -139,9 +140,10 @@ mod tests {
             }
         }
 
-        /// Every triangle that is not degenerate is drawn once; coincident triangles are drawn in id order.
+        /// Checks that every triangle that is not degenerate is drawn once, and coincident triangles in id
+        /// order.
         #[test]
-        fn the_order_is_a_permutation(
+        fn drawing_order_is_permutation(
             points in proptest::collection::vec(proptest::array::uniform3(-2i8..3), 3..60),
         ) {
             let vertex = |i: usize| Vec3::from(points[i % points.len()].map(f32::from));

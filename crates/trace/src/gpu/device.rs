@@ -1,4 +1,4 @@
-//! An open device with the pipelines of cubes: it notes faults, and waits for submissions.
+//! An open device with the pipelines of cubes. It records faults and waits for submissions.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,32 +13,32 @@ use super::locks::lock;
 use super::pipelines::{Kit, MAX_RESOLUTION, scoped};
 use super::spare::{self, Opened};
 use crate::cube::CubeSpec;
-use crate::error::BackendError;
+use crate::error::TracerError;
 
-/// Largest coordinate drawn; differences and their projections stay finite in `f32`.
+/// The largest coordinate that is drawn. Differences and their projections stay finite in `f32`.
 pub(super) const MOST_DISTANT: f32 = 1e30;
-/// How long to wait for one submission before the device counts as failed.
+/// The maximum time to wait for a submission before the device counts as failed.
 pub(super) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A device with the pipelines for cubes of one [`CubeSpec`].
 pub(super) struct Gpu {
     pub(super) spec: CubeSpec,
     pub(super) profile: String,
-    /// The summary of its adapter, and the choice that led to it.
+    /// The summary of the device's adapter, and the choice that led to it.
     opened_as: (AdapterSummary, AdapterChoice),
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
-    /// The pipelines of cubes, made when the first cube is drawn: sight lines need none.
+    /// The pipelines of cubes, created when the first cube is drawn. Sight lines do not need them.
     kit: OnceLock<Result<Kit, String>>,
-    /// Whether it is a software rasteriser.
+    /// True if the device is a software rasteriser.
     pub(super) software: bool,
-    /// Whether the times of kernels are measured.
+    /// True if the times of kernels are measured.
     pub(super) measures: bool,
-    /// Distance of the near plane, world units.
+    /// The distance of the near plane, in world units.
     pub(super) near: f32,
     /// The first error that the device reported outside an error scope.
     fault: Arc<Mutex<Option<String>>>,
-    /// Whether anything on it has failed: then nobody uses the device again.
+    /// True if an operation on the device has failed. Then the device is never used again.
     has_failed: AtomicBool,
 }
 
@@ -46,28 +46,28 @@ impl Gpu {
     /// Opens the adapter of `choice` for `scene`.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
+    /// [`TracerError::Unavailable`] if no adapter fits, or if it does not support `spec` or the scene.
     pub(super) fn open(
         scene: &Scene,
         spec: CubeSpec,
         choice: &AdapterChoice,
-    ) -> Result<Self, BackendError> {
+    ) -> Result<Self, TracerError> {
         if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
-            return Err(BackendError::Unavailable(format!(
+            return Err(TracerError::Unavailable(format!(
                 "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
                 spec.resolution
             )));
         }
         let bounds = scene.bounds();
         if bounds.min.abs().max(bounds.max.abs()).max_element() > MOST_DISTANT {
-            return Err(BackendError::Unavailable(format!(
+            return Err(TracerError::Unavailable(format!(
                 "the scene's coordinates go beyond {MOST_DISTANT:e}; scale it down"
             )));
         }
         let opened = adapter::open(choice)?;
         let most = opened.device.limits().max_texture_dimension_2d / 3;
         if spec.resolution > most {
-            let refused = BackendError::Unavailable(format!(
+            let refused = TracerError::Unavailable(format!(
                 "the adapter {} renders cubes of at most {most} pixels a side, not {}; choose fewer or use \
                     --backend cpu",
                 opened.summary.name, spec.resolution
@@ -102,11 +102,11 @@ impl Gpu {
         })
     }
 
-    /// The pipelines of cubes.
+    /// Returns the pipelines of cubes, which the first call creates.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device cannot make them.
-    pub(super) fn kit(&self) -> Result<&Kit, BackendError> {
+    /// [`TracerError::Failed`] if the device cannot create them.
+    pub(super) fn kit(&self) -> Result<&Kit, TracerError> {
         let make = || {
             scoped(&self.device, || {
                 Ok(Kit::new(&self.device, self.spec.resolution))
@@ -118,30 +118,32 @@ impl Gpu {
             .map_err(|reason| self.failed(reason))
     }
 
-    pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {
+    pub(super) fn failed(&self, reason: impl Into<String>) -> TracerError {
         self.has_failed.store(true, Ordering::Relaxed);
-        BackendError::Failed {
+        TracerError::Failed {
             profile: self.profile.clone(),
             reason: reason.into(),
         }
     }
 
-    /// Fails when the device has reported an error since it was opened. Such an error is permanent.
-    pub(super) fn check(&self) -> Result<(), BackendError> {
+    /// Returns an error if the device has reported an error since it was opened. Such an error is permanent.
+    pub(super) fn check(&self) -> Result<(), TracerError> {
         match &*lock(&self.fault) {
             Some(reason) => Err(self.failed(reason.clone())),
             None => Ok(()),
         }
     }
 
-    /// Waits until the device has finished `submission` and mapped its buffers. The callback of a mapping may
-    /// still run in another thread that waits; receive its message with [`PATIENCE`] as the limit.
-    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
+    /// Waits until the device has finished `submission` and mapped its buffers.
+    ///
+    /// The callback of a mapping may still run in another waiting thread, so receive its message with
+    /// [`PATIENCE`] as the limit.
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), TracerError> {
         let poll = wgpu::PollType::Wait {
             submission_index: Some(submission),
             timeout: Some(PATIENCE),
         };
-        // wgpu panics when the device is lost during the wait; here that becomes an error like any other.
+        // wgpu panics if the device is lost during the wait. Here the panic becomes an error.
         let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
         self.check()?;
         match polled {

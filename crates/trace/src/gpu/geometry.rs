@@ -1,5 +1,7 @@
-//! Triangles on the device: vertex buffers in drawing order, the triangle id of each slot, and the ranges of
-//! slots to draw for each face. A slot is the place of a triangle in the drawing order.
+//! Triangles on the device, in vertex buffers in drawing order.
+//!
+//! The module also has the triangle id of each slot, and the ranges of slots to draw for each face. A slot is
+//! the place of a triangle in the drawing order.
 
 use std::ops::Range;
 
@@ -9,53 +11,54 @@ use sightline_scene::{Aabb, Triangle};
 use super::clusters::{CLUSTER, faces_touched};
 use super::pipelines::scoped;
 
-/// Bytes of a triangle in a vertex buffer: three positions of three floats.
+/// Size of a triangle in a vertex buffer, in bytes: three positions of three floats.
 pub(super) const TRIANGLE_BYTES: u64 = 36;
 
-/// How ranges of slots become draw calls. The style changes the speed and no pixel.
+/// The conversion of ranges of slots to draw calls. The style affects the speed and no pixel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DrawStyle {
-    /// Two ranges with at most this many slots between them are drawn as one, with the slots between.
+    /// The maximum number of slots between two ranges that are drawn as one range, with the slots between
+    /// them.
     bridge: u32,
-    /// Most slots in a draw call.
+    /// The maximum number of slots in a draw call.
     longest: u32,
 }
 
 impl DrawStyle {
-    /// For GPUs: a draw call costs more than a few clusters.
+    /// The style for GPUs: a draw call costs more than a few clusters.
     pub(super) const HARDWARE: Self = Self {
         bridge: 4 * CLUSTER as u32,
         longest: u32::MAX,
     };
 
-    /// For lavapipe: a draw call costs little, but a single clipped triangle sends the whole call down a slow
-    /// path, whose time grows with the square of the call's length (up to some thousand vertices). One
-    /// cluster for each call halves the time.
+    /// The style for lavapipe: a draw call costs little. A single clipped triangle sends the whole call down
+    /// a slow path, whose time grows with the square of the call's length (up to thousands of vertices). One
+    /// cluster per call halves the time.
     pub(super) const SOFTWARE: Self = Self {
         bridge: 0,
         longest: CLUSTER as u32,
     };
 }
 
-/// Triangles on the device, shared by all renderers that draw them.
+/// The triangles on the device, shared by all renderers that draw them.
 pub(super) struct Geometry {
-    /// Triangle id of each slot.
+    /// The triangle id of each slot.
     pub(super) ids: Vec<u32>,
     clusters: Vec<Aabb>,
     pages: Vec<wgpu::Buffer>,
-    /// Slots in a page, a multiple of [`CLUSTER`]; the last page may hold fewer.
+    /// The number of slots in a page, a multiple of [`CLUSTER`]; the last page may have fewer.
     page_slots: u32,
     style: DrawStyle,
 }
 
-/// For each face, ascending disjoint ranges of slots.
+/// The ranges of slots of each face, ascending and disjoint.
 pub(super) type Visible = [Vec<Range<u32>>; 6];
 
 impl Geometry {
-    /// Copies the triangles named by `ids` (in drawing order, all inside `triangles`) to the device.
+    /// Copies the triangles `ids` (in drawing order, all inside `triangles`) to the device.
     ///
     /// # Errors
-    /// What the device says when it has no room.
+    /// The device's message if it has not enough memory.
     pub(super) fn upload(
         device: &wgpu::Device,
         triangles: &[Triangle],
@@ -64,7 +67,7 @@ impl Geometry {
         style: DrawStyle,
     ) -> Result<Self, String> {
         let cluster_bytes = CLUSTER as u64 * TRIANGLE_BYTES;
-        // At least one cluster; few enough that vertex indices, three for each slot, fit in 32 bits.
+        // At least one cluster, and few enough that vertex indices, three per slot, fit in 32 bits.
         let page_clusters = (page_bytes / cluster_bytes).clamp(1, (1 << 30) / CLUSTER as u64);
         let page_slots = page_clusters as u32 * CLUSTER as u32;
         let clusters = ids
@@ -89,12 +92,12 @@ impl Geometry {
         })
     }
 
-    /// Number of slots. It fits in `u32`, since ids are unique `u32`.
+    /// Returns the number of slots. It fits in `u32`, because ids are unique `u32` numbers.
     pub(super) fn slots(&self) -> u32 {
         self.ids.len() as u32
     }
 
-    /// For each face, the ranges of slots that may be visible from `eye`: whole clusters, joined where
+    /// Returns for each face the ranges of slots that may be visible from `eye`: whole clusters, joined if
     /// [`DrawStyle::bridge`] allows.
     pub(super) fn visible(&self, eye: Vec3) -> Visible {
         let mut visible = Visible::default();
@@ -132,7 +135,7 @@ impl Geometry {
                     pass.set_vertex_buffer(0, self.pages[page as usize].slice(..));
                     bound = Some(page);
                 }
-                // The instance index tells the shader the first slot of the page.
+                // The instance index passes the first slot of the page to the shader.
                 pass.draw((start - base) * 3..(end - base) * 3, base..base + 1);
                 start = end;
             }

@@ -1,28 +1,28 @@
 //! The scene of the line tracer on the device: hierarchy, triangles and pipeline, in the layout of
-//! `traverse.wgsl`. `tracer.rs` traces lines through it, and `rounds` casts whole rounds.
+//! `traverse.wgsl`. The module `tracer.rs` traces lines through the scene, and `rounds` casts whole rounds.
 //!
-//! **Limits.** A storage binding may be as small as 128 MiB, so nodes and triangles are each spread over up
-//! to [`PAGES`] bindings. A scene that still does not fit is refused with an error that names the limit.
+//! **Limits.** A storage binding may be as small as 128 MiB, so nodes and triangles are each distributed over
+//! up to [`PAGES`] bindings. A scene that still does not fit is rejected with an error that names the limit.
 
 use std::sync::OnceLock;
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
-use sightline_scene::{Aabb, Scene, Triangle};
+use sightline_scene::{Aabb, Scene, Triangle, TriangleId};
 
-use super::bvh::{Bvh, Node};
+use super::nodes::{DeviceHierarchy, DeviceNode};
 use super::pipelines::{buffer, entry, scoped};
 
-/// Bindings for the nodes, and as many for the triangles. With rays and hits these are eight storage
-/// bindings, which every device has.
+/// The number of bindings for the nodes, and for the triangles. With rays and hits these are eight storage
+/// bindings, which every device supports.
 const PAGES: u64 = 3;
-const NODE_BYTES: u64 = size_of::<Node>() as u64;
+const NODE_BYTES: u64 = size_of::<DeviceNode>() as u64;
 const CORNERS_BYTES: u64 = size_of::<Corners>() as u64;
-/// Bytes converted and written at a time.
+/// The number of bytes that are converted and written at a time.
 const PIECE: usize = 1 << 20;
 
-/// Why lines cannot be traced.
+/// The reason why lines cannot be traced.
 #[derive(Clone, Debug)]
 pub(super) enum Refusal {
     /// The scene does not fit this device.
@@ -43,7 +43,7 @@ struct Corners {
     unused_c: u32,
 }
 
-/// `Scene` in `traverse.wgsl`.
+/// The uniform `Scene` in `traverse.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Uniform {
@@ -55,23 +55,23 @@ struct Uniform {
     unused: [u32; 3],
 }
 
-/// A scene on the device.
+/// A scene on the device, with its hierarchy and bindings.
 pub(super) struct DeviceLineScene {
     pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
     /// The scene's bindings.
     pub(super) group: wgpu::BindGroup,
-    /// Layout of the scene's bindings.
+    /// The layout of the scene's bindings.
     pub(super) layout: wgpu::BindGroupLayout,
     /// The constants of `traverse.wgsl`.
     pub(super) constants: [(&'static str, f64); 4],
-    /// Layout of the rays' bindings.
+    /// The layout of the rays' bindings.
     pub(super) rays_layout: wgpu::BindGroupLayout,
-    /// Whether the scene has no triangle to hit.
+    /// True if the scene has no triangle to hit.
     pub(super) empty: bool,
 }
 
-/// The greatest power of two that is at most `x`, and its inverse; both are normal numbers. Extreme `x` give
-/// the nearest such power.
+/// Returns the largest power of two that is at most `x`, and its inverse. Both are normal numbers. For
+/// extreme `x`, returns the nearest such power.
 fn power_below(x: f32) -> (f32, f32) {
     let exponent = ((x.to_bits() >> 23) & 0xff).clamp(1, 253);
     (
@@ -81,11 +81,12 @@ fn power_below(x: f32) -> (f32, f32) {
 }
 
 impl DeviceLineScene {
-    /// Builds the hierarchy over the triangles `distinct` of `scene` and copies it to the device, at most
-    /// `page_bytes` in a binding.
+    /// Builds the hierarchy over the triangles `distinct` of `scene` and copies it to the device, with at
+    /// most `page_bytes` bytes per binding.
     ///
     /// # Errors
-    /// When the scene does not fit, or the device reports an error.
+    /// [`Refusal::Unavailable`] if the scene does not fit, [`Refusal::Failed`] if the device reports an
+    /// error.
     pub(super) fn new(
         device: &wgpu::Device,
         scene: &Scene,
@@ -107,7 +108,7 @@ impl DeviceLineScene {
         let page_bytes = page_bytes
             .min(limits.max_storage_buffer_binding_size)
             .min(limits.max_buffer_size);
-        // An even number, so that siblings are in the same page.
+        // The number is even, so that siblings are in the same page.
         let node_page = (page_bytes / (2 * NODE_BYTES) * 2).max(2);
         let triangle_page = (page_bytes / CORNERS_BYTES).max(1);
         let fits = |what: &str, count: usize, page: u64| {
@@ -124,12 +125,12 @@ impl DeviceLineScene {
             .par_iter()
             .map(|id| Triangle { v: scaled(*id) }.bounds())
             .collect();
-        let bvh = Bvh::build(&boxes)
+        let bvh = DeviceHierarchy::build(&boxes)
             .map_err(|why| Refusal::Unavailable(format!("{why}; use --backend cpu")))?;
         drop(boxes);
         fits("nodes", bvh.nodes.len(), node_page)?;
 
-        let root = bvh.nodes.first().copied().unwrap_or(Node::zeroed());
+        let root = bvh.nodes.first().copied().unwrap_or(DeviceNode::zeroed());
         let uniform = Uniform {
             low: root.low,
             scale,
@@ -145,7 +146,7 @@ impl DeviceLineScene {
                 a,
                 id,
                 b,
-                side: scene.sides().side(id) as u32,
+                side: scene.sides().side(TriangleId(id)) as u32,
                 c,
                 unused_c: 0,
             }
@@ -162,12 +163,12 @@ impl DeviceLineScene {
                 |u| *u,
             )?;
             let paged = nodes.len() > 1 || triangles.len() > 1;
-            // Every binding needs a buffer; unused bindings get the first page, and the shader does not read
+            // Every binding needs a buffer. Unused bindings have the first page, and the shader does not read
             // them.
             let page = |pages: &[wgpu::Buffer], i: usize| pages.get(i).or(pages.first()).cloned();
             let mut bound = vec![scene];
-            for of in [&nodes, &triangles] {
-                bound.extend((0..PAGES as usize).filter_map(|i| page(of, i)));
+            for pages in [&nodes, &triangles] {
+                bound.extend((0..PAGES as usize).filter_map(|i| page(pages, i)));
             }
             Ok(Self::bind(
                 device,
@@ -187,7 +188,7 @@ impl DeviceLineScene {
         .map_err(Refusal::Failed)
     }
 
-    /// The scene's bindings, `bound` in the shader's order, and the shader's `constants`.
+    /// Creates the scene's bindings from `bound`, in the shader's order, and the shader's `constants`.
     fn bind(
         device: &wgpu::Device,
         bound: &[wgpu::Buffer],
@@ -236,10 +237,11 @@ impl DeviceLineScene {
         }
     }
 
-    /// The pipeline of packets, made when the first are traced: whole rounds on the device need none.
+    /// Returns the pipeline of packets, which the first call creates. Whole rounds on the device do not need
+    /// it.
     ///
     /// # Errors
-    /// The device's message.
+    /// The device's message if the pipeline cannot be created.
     pub(super) fn pipeline(&self, device: &wgpu::Device) -> Result<&wgpu::ComputePipeline, String> {
         let make = || {
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -273,7 +275,7 @@ impl DeviceLineScene {
     }
 }
 
-/// Buffers with the converted `items`, `page` items in each; one small buffer when there are no items.
+/// Creates buffers with the converted `items`, `page` items in each. Without items, creates one small buffer.
 fn pages<T: Sync, P: Pod + Send>(
     device: &wgpu::Device,
     label: &str,
@@ -290,7 +292,7 @@ fn pages<T: Sync, P: Pod + Send>(
             |()| P::zeroed(),
         )?]);
     }
-    // A page larger than the address space holds all items.
+    // A page larger than the address space contains all items.
     let page = usize::try_from(page).unwrap_or(usize::MAX);
     items
         .chunks(page)
@@ -298,7 +300,7 @@ fn pages<T: Sync, P: Pod + Send>(
         .collect()
 }
 
-/// A buffer with the converted `items`.
+/// Creates a buffer with the converted `items`.
 pub(super) fn filled<T: Sync, P: Pod + Send>(
     device: &wgpu::Device,
     label: &str,

@@ -1,4 +1,4 @@
-//! Locking in this backend.
+//! The locking of mutexes in this backend.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

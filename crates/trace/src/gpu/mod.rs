@@ -1,24 +1,24 @@
-//! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
+//! The GPU backend: wgpu draws item buffers, and the device reduces them to short lists that the host reads.
 //!
 //! Cubes are drawn with the raster pipeline. Sight lines are traced by compute shaders, which share only the
-//! device with the raster path: whole rounds of them (`rounds`), or packets that the host makes
-//! (`tracer.rs`).
-//! A machine without a GPU driver uses the CPU backend.
+//! device with the raster path: whole rounds of lines (`rounds`), or packets that the host creates
+//! (`tracer.rs`). A machine without a GPU driver uses the CPU backend.
 //!
 //! **Near plane.** The six frusta of a cube begin at [`crate::near_distance`]. Depth is reversed floating
 //! point, near / distance, which has the same relative precision at every distance.
 //!
-//! **Same bits.** Triangles are drawn in one fixed order, and the first of equal depth wins. The reduction
-//! uses integer sums and unions, which do not depend on the order, and its list is sorted before use.
+//! **Same bits.** Triangles are drawn in one fixed order, and the first triangle of equal depth wins. The
+//! reduction uses integer sums and unions, which do not depend on the order, and its list is sorted before
+//! use.
 
 mod adapter;
-mod bvh;
 mod choice;
 mod clusters;
 mod device;
 mod geometry;
 mod line_scene;
 mod locks;
+mod nodes;
 mod pipelines;
 mod reading;
 mod renderer;
@@ -35,40 +35,40 @@ pub use adapter::{adapters, device_present, probe};
 pub use choice::{AdapterChoice, AdapterSummary};
 pub use spare::close as close_spare;
 
-use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::CubeSpec;
-use crate::error::BackendError;
+use crate::error::TracerError;
 use crate::packet::LineTracer;
+use crate::tracer::{CubeRenderer, LineSet, Tracer};
 use device::Gpu;
 use geometry::{DrawStyle, Geometry};
 use line_scene::{DeviceLineScene, Refusal};
-use renderer::{GpuRenderer, Work};
+use renderer::{CubeBuffers, GpuRenderer};
 use tracer::{GpuTracer, LineKit};
 
-/// Rank of a degenerate triangle, which is never drawn.
+/// The rank of a degenerate triangle, which is never drawn.
 const NEVER: u32 = u32::MAX;
-/// Most bytes of triangles in one vertex buffer; the device may allow fewer.
+/// Maximum size of the triangles in a vertex buffer, in bytes. The device may allow fewer.
 const PAGE_BYTES: u64 = 1 << 30;
-/// A device bound to one scene and one [`CubeSpec`].
+/// A device for one scene and one [`CubeSpec`].
 pub struct GpuBackend {
     scene: Arc<Scene>,
     page_bytes: u64,
-    /// What cubes are drawn from, made when the first cube is drawn.
-    drawn: OnceLock<Result<Drawn, String>>,
+    /// The geometry of cubes, created when the first cube is drawn.
+    drawn: OnceLock<Result<CubeGeometry, String>>,
     /// The buffers of one batch of cubes.
-    work: Mutex<Work>,
-    /// The scene of the line tracer, made at the first call of `lines`.
+    buffers: Mutex<CubeBuffers>,
+    /// The scenes of the line tracer, created at the first call of `lines`.
     lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; LineSet::COUNT],
-    /// The last to be dropped: the device that it gives back holds nothing then.
+    /// The device. It is dropped last, so that a returned device contains no resources.
     gpu: Gpu,
 }
 
-/// A scene as cubes are drawn from it.
-struct Drawn {
+/// The geometry of a scene from which cubes are drawn.
+struct CubeGeometry {
     style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
-    /// For each triangle, its place in the drawing order, or [`NEVER`].
+    /// The place of each triangle in the drawing order, or [`NEVER`].
     ranks: Vec<u32>,
 }
 
@@ -76,18 +76,19 @@ impl GpuBackend {
     /// Opens a device and copies `scene` to it.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when no adapter fits, or when the adapter or this backend does not
-    /// support `spec` or the scene's coordinates; [`BackendError::Failed`] when the device cannot hold the
+    /// [`TracerError::Unavailable`] if no adapter fits, or if the adapter or this backend does not support
+    /// `spec` or the scene's coordinates; [`TracerError::Failed`] if the device has not enough memory for the
     /// scene.
     pub fn new(
         scene: Arc<Scene>,
         spec: CubeSpec,
         choice: AdapterChoice,
-    ) -> Result<Self, BackendError> {
+    ) -> Result<Self, TracerError> {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }
 
-    /// The same, and the rounds of sight lines measure the time of each kernel, which lengthens them.
+    /// Returns the backend with time measurement of each kernel of sight-line rounds, which lengthens the
+    /// rounds.
     #[must_use]
     pub fn measuring(mut self) -> Self {
         self.gpu.measures = true;
@@ -99,26 +100,27 @@ impl GpuBackend {
         spec: CubeSpec,
         choice: &AdapterChoice,
         page_bytes: u64,
-    ) -> Result<Self, BackendError> {
+    ) -> Result<Self, TracerError> {
         let gpu = Gpu::open(&scene, spec, choice)?;
         let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
-        let (drawn, work, lines) = Default::default();
+        let (drawn, buffers, lines) = Default::default();
         Ok(Self {
             scene,
             page_bytes,
             drawn,
-            work,
+            buffers,
             lines,
             gpu,
         })
     }
 
-    /// The scene as cubes are drawn from it.
-    fn drawn(&self) -> Result<&Drawn, BackendError> {
+    /// Returns the geometry from which cubes are drawn. The first call creates it.
+    fn drawn(&self) -> Result<&CubeGeometry, TracerError> {
         if let Some(drawn) = self.drawn.get() {
             return drawn.as_ref().map_err(|reason| self.gpu.failed(reason));
         }
-        // By all threads of the pool, one of which may be waiting for this value: so before it is made.
+        // All threads of the pool compute the order, and one of them may be waiting for this value. The order
+        // is therefore computed before the value.
         let order = clusters::drawing_order(&self.scene);
         let make = || {
             let mut ranks = vec![NEVER; self.scene.triangles().len()];
@@ -132,7 +134,7 @@ impl GpuBackend {
             };
             let (device, triangles) = (&self.gpu.device, self.scene.triangles());
             let whole = Geometry::upload(device, triangles, order, self.page_bytes, style)?;
-            Ok(Drawn {
+            Ok(CubeGeometry {
                 style,
                 whole: Arc::new(whole),
                 ranks,
@@ -145,17 +147,14 @@ impl GpuBackend {
     }
 }
 
-impl Backend for GpuBackend {
+impl Tracer for GpuBackend {
     fn profile(&self) -> &str {
         &self.gpu.profile
     }
 
-    fn prepare(
-        &self,
-        superset: Option<&[u32]>,
-    ) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, TracerError> {
         self.gpu.check()?;
-        let Drawn {
+        let CubeGeometry {
             style,
             whole,
             ranks,
@@ -197,12 +196,16 @@ impl Backend for GpuBackend {
                 geometry.slots()
             )));
         }
-        Ok(Box::new(GpuRenderer::new(&self.gpu, &self.work, geometry)?))
+        Ok(Box::new(GpuRenderer::new(
+            &self.gpu,
+            &self.buffers,
+            geometry,
+        )?))
     }
 
-    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, TracerError> {
         self.gpu.check()?;
-        // The hierarchy is built by all threads of the pool.
+        // All threads of the pool build the hierarchy.
         crate::prepared::outside_the_pool();
         let made = self.lines[set as usize].get_or_init(|| {
             DeviceLineScene::new(&self.gpu.device, &self.scene, ids, u64::MAX)
@@ -210,7 +213,7 @@ impl Backend for GpuBackend {
         });
         match made {
             Ok(kit) => Ok(Box::new(GpuTracer::new(&self.gpu, Arc::clone(kit)))),
-            Err(Refusal::Unavailable(why)) => Err(BackendError::Unavailable(why.clone())),
+            Err(Refusal::Unavailable(why)) => Err(TracerError::Unavailable(why.clone())),
             Err(Refusal::Failed(reason)) => Err(self.gpu.failed(reason.clone())),
         }
     }

@@ -1,6 +1,6 @@
-//! Objects created once for each device: pipelines, the atlas of the item buffers, and small uniform buffers.
+//! Objects created once per device: pipelines, the atlas of the item buffers, and small uniform buffers.
 //!
-//! The six faces lie in one texture, in two rows of three, so that a cube is one render pass with one clear.
+//! The six faces are in one texture, in two rows of three, so that a cube is one render pass with one clear.
 //! Face f has its origin at column (f mod 3)·n, row (f div 3)·n.
 
 use bytemuck::{Pod, Zeroable};
@@ -8,13 +8,14 @@ use glam::Vec3;
 
 use crate::cube::face_basis;
 
-/// Most cubes of a batch; as in `reduce.wgsl`.
+/// Maximum number of cubes of a batch, as in `reduce.wgsl`.
 pub(super) const CUBES: u32 = 64;
 
-/// Bytes between the uniforms of two faces: the largest offset alignment that a device may require.
+/// The number of bytes between the uniforms of two faces: the largest offset alignment that a device may
+/// require.
 pub(super) const FACE_STRIDE: u64 = 256;
 
-/// Largest side of a face in pixels, from [`crate::CubeSpec`].
+/// Maximum side length of a face in pixels, from [`crate::CubeSpec`].
 pub(super) const MAX_RESOLUTION: u32 = 4096;
 
 /// The uniforms of one face, in the layout of `raster.wgsl`.
@@ -31,7 +32,7 @@ struct FaceUniform {
     unused_c: f32,
 }
 
-/// The uniforms of the six faces of a cube around each of `eyes`, [`FACE_STRIDE`] bytes apart.
+/// Returns the uniforms of the six faces of a cube around each of `eyes`, [`FACE_STRIDE`] bytes apart.
 pub(super) fn face_uniforms(eyes: &[Vec3], near: f32) -> Vec<u8> {
     let mut bytes = vec![0; eyes.len() * 6 * FACE_STRIDE as usize];
     let faces = eyes
@@ -52,17 +53,17 @@ pub(super) fn face_uniforms(eyes: &[Vec3], near: f32) -> Vec<u8> {
     bytes
 }
 
-/// What a device has reported.
+/// A fault that a device has reported.
 #[derive(Clone, Debug)]
-pub(super) enum Fault {
-    /// Its memory is full, which another time it may not be.
+pub(super) enum DeviceFault {
+    /// The device's memory is full. A later attempt may succeed.
     Memory(String),
-    /// It cannot do what was asked for, and never will.
+    /// The device does not support the request, now or later.
     Refused(String),
 }
 
-impl Fault {
-    /// The device's message.
+impl DeviceFault {
+    /// Returns the device's message.
     pub(super) fn into_message(self) -> String {
         match self {
             Self::Memory(message) | Self::Refused(message) => message,
@@ -70,36 +71,37 @@ impl Fault {
     }
 }
 
-/// Runs `make`. Returns the first error that the device reports about it, if any. What `make` leaves to other
-/// threads is not watched.
+/// Runs `make` and returns the first error that the device reports about it. Work of `make` in other threads
+/// is not observed.
 pub(super) fn scoped<T>(
     device: &wgpu::Device,
     make: impl FnOnce() -> Result<T, String>,
 ) -> Result<T, String> {
-    scoped_by_kind(device, || make().map_err(Fault::Refused)).map_err(Fault::into_message)
+    scoped_by_kind(device, || make().map_err(DeviceFault::Refused))
+        .map_err(DeviceFault::into_message)
 }
 
-/// The same with the kind of the error.
+/// Runs `make` like [`scoped`], and returns the kind of the error.
 pub(super) fn scoped_by_kind<T>(
     device: &wgpu::Device,
-    make: impl FnOnce() -> Result<T, Fault>,
-) -> Result<T, Fault> {
+    make: impl FnOnce() -> Result<T, DeviceFault>,
+) -> Result<T, DeviceFault> {
     let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
     let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let made = make();
-    // Every scope is popped, innermost first, even when one holds an error.
+    // Every scope is popped, innermost first, even if one contains an error.
     let [invalid, full, broken] =
         [validation, memory, internal].map(|scope| pollster::block_on(scope.pop()));
-    // A buffer for which there was no memory is invalid where it is used.
+    // A buffer for which there was no memory is invalid at its use.
     match (full, invalid.or(broken)) {
-        (Some(error), _) => Err(Fault::Memory(error.to_string())),
-        (None, Some(error)) => Err(Fault::Refused(error.to_string())),
+        (Some(error), _) => Err(DeviceFault::Memory(error.to_string())),
+        (None, Some(error)) => Err(DeviceFault::Refused(error.to_string())),
         (None, None) => made,
     }
 }
 
-/// Pipelines and targets for one resolution.
+/// The pipelines and targets for one resolution.
 pub(super) struct Kit {
     pub(super) raster: wgpu::RenderPipeline,
     pub(super) reduce: wgpu::ComputePipeline,
@@ -109,10 +111,10 @@ pub(super) struct Kit {
     pub(super) items: wgpu::Texture,
     pub(super) items_view: wgpu::TextureView,
     pub(super) depth_view: wgpu::TextureView,
-    /// The uniforms of the faces of a batch of cubes and their binding.
+    /// The uniforms of the faces of a batch of cubes, and their binding.
     pub(super) faces: wgpu::Buffer,
     pub(super) faces_group: wgpu::BindGroup,
-    /// The reduction's parameters.
+    /// The parameters of the reduction.
     pub(super) params: wgpu::Buffer,
 }
 
@@ -222,8 +224,10 @@ impl Kit {
     }
 }
 
-/// Draws both sides of every triangle. Reversed depth is cleared to 0 and compared with "greater", so the
-/// nearest triangle wins, and of two triangles at the same depth the first one drawn.
+/// Creates the pipeline that draws both sides of every triangle.
+///
+/// Reversed depth is cleared to 0 and compared with "greater", so the nearest triangle wins. Of two triangles
+/// at the same depth the first triangle drawn wins.
 fn raster_pipeline(
     device: &wgpu::Device,
     code: &wgpu::ShaderModule,

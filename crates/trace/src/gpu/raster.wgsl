@@ -1,7 +1,9 @@
-// Draws triangles into one face of the item buffer. A pixel holds the triangle's slot plus one, or 0 for sky.
+// Draws triangles into one face of the item buffer. A pixel contains the triangle's slot (its index in the
+// vertex buffers) plus one, or 0 for sky.
 
 struct Face {
-    // xyz: the face's right, up and forward vectors; right.w: distance of the near plane.
+    // The xyz fields of the first three vectors are the face's right, up and forward directions; right.w is
+    // the distance of the near plane.
     right: vec4f,
     up: vec4f,
     forward: vec4f,
@@ -23,7 +25,7 @@ fn corner(
     @builtin(instance_index) base: u32,
 ) -> Corner {
     let d = world - face.eye.xyz;
-    // Row y of the framebuffer shows v = (2y+1)/n - 1, but clip space has y pointing up, hence the minus.
+    // Row y of the framebuffer shows v = (2y+1)/n - 1, but y points up in clip space, so the sign changes.
     // The frustum has 90 degrees, an infinite far plane, and reversed depth near / forward.
     let position =
         vec4f(dot(d, face.right.xyz), -dot(d, face.up.xyz), face.right.w, dot(d, face.forward.xyz));

@@ -1,17 +1,17 @@
-//! Reading what the device has written: a buffer that it fills, and buffers to fill again.
+//! Buffers that the device fills and the host reads, and a pool to use them again.
 
 use std::sync::mpsc;
 
 use super::device::{Gpu, PATIENCE};
 use super::tally::LISTS;
-use crate::error::BackendError;
+use crate::error::TracerError;
 
 /// Read-back buffers that are not in flight.
 #[derive(Default)]
 pub(super) struct Spare(Vec<wgpu::Buffer>);
 
 impl Spare {
-    /// A buffer of at least so many bytes.
+    /// Returns a buffer of at least `bytes` bytes.
     pub(super) fn buffer(&mut self, device: &wgpu::Device, bytes: u64) -> wgpu::Buffer {
         match self.0.iter().position(|b| b.size() >= bytes) {
             Some(i) => self.0.swap_remove(i),
@@ -38,10 +38,10 @@ impl Reading {
         gpu: &Gpu,
         encoder: wgpu::CommandEncoder,
         buffer: wgpu::Buffer,
-    ) -> Result<Self, BackendError> {
+    ) -> Result<Self, TracerError> {
         let submission = gpu.queue.submit([encoder.finish()]);
         let (sender, mapped) = mpsc::channel();
-        // The receiver is gone when an earlier batch failed.
+        // The receiver no longer exists if an earlier batch failed.
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
             drop(sender.send(result))
         });
@@ -53,13 +53,13 @@ impl Reading {
         })
     }
 
-    /// Waits for the buffer, and gives its words to `read`; the buffer may be longer than was asked for.
+    /// Waits for the buffer and passes its words to `read`. The buffer may be longer than requested.
     pub(super) fn words<R>(
         self,
         gpu: &Gpu,
         spare: &mut Spare,
-        read: impl FnOnce(&[u32]) -> Result<R, BackendError>,
-    ) -> Result<R, BackendError> {
+        read: impl FnOnce(&[u32]) -> Result<R, TracerError>,
+    ) -> Result<R, TracerError> {
         gpu.wait(self.submission)?;
         match self.mapped.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}

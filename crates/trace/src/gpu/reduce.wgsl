@@ -1,29 +1,30 @@
 // Reduces the six item buffers of each cube of a batch to one entry for each visible slot: (slot, strata
-// mask, pixel count). The cubes of a batch follow one another in one list.
+// mask, pixel count). The entries of all cubes of a batch are in one list, cube after cube.
 //
-// All masks and counts are zero before `reduce`. `reduce` adds to them and lists each slot at its first
-// touch. `gather` copies masks and counts to the list and sets them back to zero. `close` notes where the
-// cube ends. The order of the entries of a cube differs between runs; the reader sorts them.
+// All masks and counts are zero before `reduce`. `reduce` adds to the masks and counts, and appends each slot
+// to the list at its first pixel. `gather` copies masks and counts to the list and resets them to zero.
+// `close` stores the end of the cube's entries. The order of the entries of a cube differs between runs, so
+// the host sorts them.
 
 struct Params {
     // Side of a face in pixels.
     n: u32,
-    // Most entries of the list.
+    // Maximum number of entries of the list.
     capacity: u32,
-    // 0: one stratum, 1: one for each face, 2: four for each face (quadrants).
+    // 0: one stratum per cube, 1: one stratum per face, 2: four strata per face (quadrants).
     strata: u32,
     unused: u32,
 }
 
 struct List {
     count: atomic<u32>,
-    // The first entry of the cube that is being reduced, and its number in the batch.
+    // The index of the first entry of the current cube, and the cube's number in the batch.
     first: u32,
     cube: u32,
     unused: u32,
-    // Where the entries of each cube end; as many as `CUBES` in tally.rs.
+    // For each cube, the index after its last entry. The length of the array is `CUBES` in tally.rs.
     ends: array<u32, 64>,
-    // Three words for each entry.
+    // Three words for each entry: slot, strata mask, pixel count.
     entries: array<u32>,
 }
 
@@ -33,7 +34,8 @@ struct List {
 @group(0) @binding(3) var<storage, read_write> list: List;
 @group(0) @binding(4) var<uniform> params: Params;
 
-// Pixels of a row that one invocation reads; a run of equal pixels among them costs one pair of atomics.
+// The number of pixels of a row that one invocation reads. A run of equal pixels needs one pair of atomic
+// operations.
 const SEGMENT: u32 = 16u;
 
 fn stratum_bit(face: u32, x: u32, y: u32) -> u32 {
@@ -52,7 +54,7 @@ fn add(item: u32, bit: u32, run: u32) {
         return;
     }
     let slot = item - 1u;
-    // The bit is mostly set already, and a load is much cheaper than an atomic or.
+    // In most cases, the bit is already set, and a load costs much less than an atomic or.
     if (atomicLoad(&masks[slot]) & bit) == 0u {
         atomicOr(&masks[slot], bit);
     }

@@ -1,8 +1,8 @@
-//! Rendering cubes in batches: the device draws and reduces a batch, whose lists come back in one read.
-//! While it does, the CPU culls and records the next batch and reads the previous one.
+//! The rendering of cubes in batches: the device draws and reduces a batch, and the host reads its lists at
+//! once. At the same time the CPU culls and records the next batch and reads the previous batch.
 //!
-//! The number of triangles in a batch is known only after it is rendered. So the first part of the list is
-//! read back, as long as earlier batches needed, and the rest of a longer list by a read of its own.
+//! The number of triangles in a batch is known only after rendering. The host therefore reads the first part
+//! of the list, as long as earlier batches needed, and the rest of a longer list by a separate read.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -17,34 +17,34 @@ use super::locks::lock;
 use super::pipelines::{CUBES, FACE_STRIDE, Kit, face_uniforms};
 use super::reading::{Reading, Spare};
 use super::tally::{BEFORE_ENDS, DeviceTally, ENTRY_BYTES, LIST_HEAD, LISTS, List};
-use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
-use crate::error::BackendError;
+use crate::error::TracerError;
+use crate::tracer::CubeRenderer;
 
-/// Most bytes of pixels in a batch, but there is room for one cube.
+/// Maximum size of the pixels in a batch, in bytes. A batch has at least one cube.
 const PIXEL_BYTES: u64 = 1 << 27;
-/// Entries of the list that are read back for each cube of the first batch.
+/// The number of entries of the list that are read for each cube of the first batch.
 const FIRST_READ: u32 = 1024;
-/// Pixels of a row that one invocation of the reduction reads, and the side of its workgroup; as in
-/// `reduce.wgsl`.
+/// The number of pixels of a row that one invocation of the reduction reads, and the side of its workgroup,
+/// as in `reduce.wgsl`.
 const SEGMENT: u32 = 16;
 const REDUCE_SIDE: u32 = 8;
-/// Workgroups of the gathering pass; each goes through the list in strides.
+/// The number of workgroups of the gathering pass. Each iterates over the list in strides.
 const GATHER_GROUPS: u32 = 64;
 
 /// (triangle id, strata mask, pixel count), in any order.
 type Runs = Vec<(u32, u32, u32)>;
 
-/// Buffers for rendering cubes; used by one call at a time.
+/// Buffers for rendering cubes, used by one call at a time.
 #[derive(Default)]
-pub(super) struct Work {
+pub(super) struct CubeBuffers {
     tally: Option<DeviceTally>,
-    /// Entries of a list to read back for each cube; 0 before the first batch.
+    /// The number of entries of a list to read for each cube; 0 before the first batch.
     entries: u32,
     spare: Spare,
 }
 
-/// Which parts of a cube to read back.
+/// The parts of a cube to read back.
 #[derive(Clone, Copy)]
 struct Want {
     list: bool,
@@ -57,7 +57,7 @@ struct Layout {
     entries: u32,
     list_bytes: u64,
     pixels_at: u64,
-    /// Bytes of the pixels of a cube, and of a row of them.
+    /// The size of the pixels of a cube, and of a row of pixels, in bytes.
     cube_bytes: u64,
     row_bytes: u32,
     bytes: u64,
@@ -65,56 +65,56 @@ struct Layout {
 
 /// A batch of cubes that was submitted to the device.
 struct CubeBatch {
-    /// Which of the points.
+    /// The indices of the batch's points.
     cubes: Range<usize>,
-    /// Which of the lists.
+    /// The index of the batch's list.
     list: usize,
     layout: Layout,
     read: Reading,
 }
 
-/// Renders the triangles of one [`Geometry`].
+/// A renderer of the triangles of one [`Geometry`].
 pub(super) struct GpuRenderer<'a> {
     gpu: &'a Gpu,
     kit: &'a Kit,
     /// The buffers of one batch, shared by all renderers of the device.
-    work: &'a Mutex<Work>,
+    buffers: &'a Mutex<CubeBuffers>,
     geometry: Arc<Geometry>,
 }
 
 impl<'a> GpuRenderer<'a> {
-    /// A renderer of `geometry`.
+    /// Creates a renderer of `geometry`.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device cannot make the pipelines.
+    /// [`TracerError::Failed`] if the device cannot create the pipelines.
     pub(super) fn new(
         gpu: &'a Gpu,
-        work: &'a Mutex<Work>,
+        buffers: &'a Mutex<CubeBuffers>,
         geometry: Arc<Geometry>,
-    ) -> Result<Self, BackendError> {
+    ) -> Result<Self, TracerError> {
         Ok(Self {
             gpu,
             kit: gpu.kit()?,
-            work,
+            buffers,
             geometry,
         })
     }
 
     fn pixels(&self) -> u32 {
-        // At most 6 · 4096².
+        // The number is at most 6 · 4096².
         6 * self.gpu.spec.resolution * self.gpu.spec.resolution
     }
 
-    /// Renders a cube at each point and passes its wanted parts to `take`, in the points' order.
+    /// Renders a cube at each point and passes its requested parts to `take`, in the points' order.
     fn render(
         &self,
         points: &[Vec3],
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         self.gpu.check()?;
         for p in points {
-            // Also refuses NaN.
+            // The comparison also rejects NaN.
             if !p.abs().cmple(Vec3::splat(MOST_DISTANT)).all() {
                 return Err(self.gpu.failed(format!("a cube at {p} cannot be rendered")));
             }
@@ -124,24 +124,24 @@ impl<'a> GpuRenderer<'a> {
             (0..points.len()).for_each(|i| take(i, Runs::new(), sky.clone()));
             return Ok(());
         }
-        let mut work = lock(self.work);
-        let result = self.render_all(&mut work, points, want, take);
+        let mut buffers = lock(self.buffers);
+        let result = self.render_all(&mut buffers, points, want, take);
         if result.is_err() {
             // Counts may not be zero, and buffers may still be mapped.
-            *work = Work::default();
+            *buffers = CubeBuffers::default();
         }
         result
     }
 
     fn render_all(
         &self,
-        work: &mut Work,
+        buffers: &mut CubeBuffers,
         points: &[Vec3],
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
-    ) -> Result<(), BackendError> {
-        self.make_room(work)?;
-        let most = match &work.tally {
+    ) -> Result<(), TracerError> {
+        self.make_room(buffers)?;
+        let most = match &buffers.tally {
             Some(tally) if want.list => tally.cubes as usize,
             _ => CUBES as usize,
         };
@@ -149,39 +149,39 @@ impl<'a> GpuRenderer<'a> {
             true => most.min((PIXEL_BYTES / self.pixel_layout().1).max(1) as usize),
             false => most,
         };
-        // Two batches at least, so that there is always one in flight.
+        // At least two batches, so that one is always in flight.
         let size = points.len().div_ceil(LISTS).clamp(1, most);
         let mut flights = VecDeque::new();
         for (number, first) in (0..points.len()).step_by(size).enumerate() {
             if flights.len() == LISTS
                 && let Some(oldest) = flights.pop_front()
             {
-                self.land(work, oldest, want, take)?;
+                self.land(buffers, oldest, want, take)?;
             }
             let cubes = first..(first + size).min(points.len());
-            flights.push_back(self.launch(work, points, cubes, number % LISTS, want)?);
+            flights.push_back(self.launch(buffers, points, cubes, number % LISTS, want)?);
         }
         for flight in flights {
-            self.land(work, flight, want, take)?;
+            self.land(buffers, flight, want, take)?;
         }
         Ok(())
     }
 
-    /// Makes buffers for this geometry's slots, if they are missing, and sets the reduction's parameters.
-    fn make_room(&self, work: &mut Work) -> Result<(), BackendError> {
+    /// Creates buffers for this geometry's slots, if they are missing, and sets the reduction's parameters.
+    fn make_room(&self, buffers: &mut CubeBuffers) -> Result<(), TracerError> {
         let b = self.gpu;
-        if work
+        if buffers
             .tally
             .as_ref()
             .is_none_or(|t| t.slots < self.geometry.slots())
         {
-            // The old buffers are freed first, since there may not be room for both.
-            work.tally = None;
+            // The old buffers are freed first, because the memory may not suffice for both.
+            buffers.tally = None;
             let tally = DeviceTally::new(&b.device, self.kit, self.geometry.slots(), self.pixels());
-            work.tally = Some(tally.map_err(|reason| b.failed(reason))?);
+            buffers.tally = Some(tally.map_err(|reason| b.failed(reason))?);
         }
-        let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
-        work.entries = work.entries.max(FIRST_READ);
+        let capacity = buffers.tally.as_ref().map_or(0, |t| t.capacity);
+        buffers.entries = buffers.entries.max(FIRST_READ);
         let strata = match b.spec.strata {
             Strata::One => 0,
             Strata::Faces => 1,
@@ -195,17 +195,17 @@ impl<'a> GpuRenderer<'a> {
         Ok(())
     }
 
-    /// Bytes of a row of pixels, and of all pixels of a cube.
+    /// Returns the size of a row of pixels, and of all pixels of a cube, in bytes.
     fn pixel_layout(&self) -> (u32, u64) {
         let n = self.gpu.spec.resolution;
         let row = (3 * n * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         (row, u64::from(row) * u64::from(2 * n))
     }
 
-    fn layout(&self, work: &Work, cubes: usize, want: Want) -> Layout {
-        let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
+    fn layout(&self, buffers: &CubeBuffers, cubes: usize, want: Want) -> Layout {
+        let capacity = buffers.tally.as_ref().map_or(0, |t| t.capacity);
         let entries = if want.list {
-            work.entries.saturating_mul(cubes as u32).min(capacity)
+            buffers.entries.saturating_mul(cubes as u32).min(capacity)
         } else {
             0
         };
@@ -234,19 +234,19 @@ impl<'a> GpuRenderer<'a> {
     /// Records and submits a batch.
     fn launch(
         &self,
-        work: &mut Work,
+        buffers: &mut CubeBuffers,
         points: &[Vec3],
         cubes: Range<usize>,
         list: usize,
         want: Want,
-    ) -> Result<CubeBatch, BackendError> {
+    ) -> Result<CubeBatch, TracerError> {
         let b = self.gpu;
-        let layout = self.layout(work, cubes.len(), want);
-        let buffer = work.spare.buffer(&self.gpu.device, layout.bytes);
+        let layout = self.layout(buffers, cubes.len(), want);
+        let buffer = buffers.spare.buffer(&self.gpu.device, layout.bytes);
         let eyes = &points[cubes.clone()];
         b.queue
             .write_buffer(&self.kit.faces, 0, &face_uniforms(eyes, b.near));
-        let into = work
+        let into = buffers
             .tally
             .as_ref()
             .filter(|_| want.list)
@@ -289,7 +289,7 @@ impl<'a> GpuRenderer<'a> {
         })
     }
 
-    /// Draws the cube number `cube` of a batch.
+    /// Draws cube number `cube` of a batch.
     fn record_faces(&self, encoder: &mut wgpu::CommandEncoder, cube: u32, visible: &Visible) {
         let kit = self.kit;
         let n = self.gpu.spec.resolution;
@@ -333,7 +333,7 @@ impl<'a> GpuRenderer<'a> {
         }
     }
 
-    /// Adds the cube that was drawn last to a list.
+    /// Adds the last drawn cube to a list.
     fn record_reduction(&self, encoder: &mut wgpu::CommandEncoder, list: &List) {
         let kit = self.kit;
         let n = self.gpu.spec.resolution;
@@ -351,22 +351,23 @@ impl<'a> GpuRenderer<'a> {
         pass.dispatch_workgroups(1, 1, 1);
     }
 
-    /// Waits for a batch, and passes the wanted parts of its cubes to `take`.
+    /// Waits for a batch, and passes the requested parts of its cubes to `take`.
     fn land(
         &self,
-        work: &mut Work,
+        buffers: &mut CubeBuffers,
         flight: CubeBatch,
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
-    ) -> Result<(), BackendError> {
+    ) -> Result<(), TracerError> {
         let CubeBatch {
             cubes,
             list,
             layout,
             read,
         } = flight;
-        let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
-        let (ends, mut entries, mut pixels) = read.words(self.gpu, &mut work.spare, |words| {
+        let capacity = buffers.tally.as_ref().map_or(0, |t| t.capacity);
+        let spare = &mut buffers.spare;
+        let (ends, mut entries, mut pixels) = read.words(self.gpu, spare, |words| {
             let mut pixels = Vec::new();
             if want.pixels {
                 let all = words[layout.pixels_at as usize / 4..]
@@ -395,25 +396,25 @@ impl<'a> GpuRenderer<'a> {
         })?;
         let count = ends.last().copied().unwrap_or(0);
         if count > layout.entries && want.list {
-            // The list stays as it is until this batch has landed.
+            // The list does not change until this batch has landed.
             let rest = u64::from(count - layout.entries) * ENTRY_BYTES;
-            let buffer = work.spare.buffer(&self.gpu.device, rest);
+            let buffer = buffers.spare.buffer(&self.gpu.device, rest);
             let mut encoder = self
                 .gpu
                 .device
                 .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            if let Some(tally) = &work.tally {
+            if let Some(tally) = &buffers.tally {
                 let from = &tally.lists[list].entries;
                 encoder.copy_buffer_to_buffer(from, layout.list_bytes, &buffer, 0, rest);
             }
             let read = Reading::submit(self.gpu, encoder, buffer)?;
-            read.words(self.gpu, &mut work.spare, |words| {
+            read.words(self.gpu, &mut buffers.spare, |words| {
                 entries.extend_from_slice(&words[..rest as usize / 4]);
                 Ok(())
             })?;
-            // A quarter more than needed, so that later batches fit, too.
+            // A quarter more than needed, so that later batches also fit.
             let each = count.div_ceil(cubes.len() as u32);
-            work.entries = each.saturating_add(each / 4);
+            buffers.entries = each.saturating_add(each / 4);
         }
         let mut start = 0;
         pixels.resize(cubes.len(), None);
@@ -435,8 +436,8 @@ impl<'a> GpuRenderer<'a> {
         Ok(())
     }
 
-    /// Triangle ids from the pixels of the atlas, in the order of [`CubeImage`].
-    fn faces_of(&self, atlas: &[u32], row_bytes: u32) -> Result<Vec<u32>, BackendError> {
+    /// Returns the triangle ids from the pixels of the atlas, in the order of [`CubeImage`].
+    fn faces_of(&self, atlas: &[u32], row_bytes: u32) -> Result<Vec<u32>, TracerError> {
         let (n, pitch) = (self.gpu.spec.resolution as usize, row_bytes as usize / 4);
         let mut ids = Vec::with_capacity(self.pixels() as usize);
         for row in 0..6 * n {
@@ -456,7 +457,7 @@ impl<'a> GpuRenderer<'a> {
         Ok(ids)
     }
 
-    fn stray(&self, slot: u32) -> BackendError {
+    fn stray(&self, slot: u32) -> TracerError {
         self.gpu.failed(format!(
             "it saw triangle {slot} of {} drawn",
             self.geometry.slots()
@@ -465,7 +466,7 @@ impl<'a> GpuRenderer<'a> {
 }
 
 impl CubeRenderer for GpuRenderer<'_> {
-    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, TracerError> {
         let mut samples = vec![VisibilitySample::default(); points.len()];
         let want = Want {
             list: true,
@@ -480,7 +481,7 @@ impl CubeRenderer for GpuRenderer<'_> {
         Ok(samples)
     }
 
-    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+    fn image(&self, point: Vec3) -> Result<CubeImage, TracerError> {
         let mut ids = Vec::new();
         self.render(
             &[point],

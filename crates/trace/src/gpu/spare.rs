@@ -1,8 +1,8 @@
-//! Open devices that nobody uses at the moment: the next who opens one of the same choice takes it, which
-//! saves tenths of a second.
+//! Open devices that are currently not in use. The next backend with the same choice uses such a device,
+//! which saves tenths of a second.
 //!
-//! No device is closed while another is used or opened: a driver of NVIDIA (580.159, H100) did not end
-//! `vkDestroyDevice` in one thread while other threads used devices of their own. So a process keeps as many
+//! No device is closed while another device is used or opened: an NVIDIA driver (580.159, H100) did not end
+//! `vkDestroyDevice` in one thread while other threads used other devices. A process therefore keeps as many
 //! devices as it has used at the same time, until it uses none and [`close`] is called.
 
 use std::sync::Mutex;
@@ -20,9 +20,9 @@ pub(super) struct Opened {
 
 struct Devices {
     spare: Vec<Opened>,
-    /// Devices that failed, until they can be closed.
+    /// The devices that failed, until they can be closed.
     broken: Vec<Opened>,
-    /// Devices that are used or being opened.
+    /// The number of devices that are used or being opened.
     in_use: usize,
 }
 
@@ -32,7 +32,8 @@ static DEVICES: Mutex<Devices> = Mutex::new(Devices {
     in_use: 0,
 });
 
-/// A spare device of a choice. The caller counts as a user in any case; without a spare device it opens one.
+/// Returns a spare device of a choice, or `None` if there is none. In both cases the caller counts as a user;
+/// without a spare device it opens a device.
 pub(super) fn take(choice: &AdapterChoice) -> Option<Opened> {
     let mut devices = lock(&DEVICES);
     devices.in_use += 1;
@@ -43,26 +44,26 @@ pub(super) fn take(choice: &AdapterChoice) -> Option<Opened> {
     Some(devices.spare.swap_remove(place))
 }
 
-/// The caller of [`take`] has opened none.
+/// Records that the caller of [`take`] has not opened a device.
 pub(super) fn none_opened() {
     lock(&DEVICES).release();
 }
 
-/// A user is done with a device, and has dropped what was made on it.
+/// Returns a device to the spare devices. The caller has dropped all resources of the device.
 pub(super) fn give_back(opened: Opened) {
     let mut devices = lock(&DEVICES);
     devices.spare.push(opened);
     devices.release();
 }
 
-/// The same for a device that has failed.
+/// Returns a device that has failed. The device is closed when no device is in use.
 pub(super) fn give_up(opened: Opened) {
     let mut devices = lock(&DEVICES);
     devices.broken.push(opened);
     devices.release();
 }
 
-/// Closes the spare devices, where no backend on them follows; none while another device is used.
+/// Closes the spare devices, unless another device is in use. Call it if no backend on these devices follows.
 pub fn close() {
     let mut devices = lock(&DEVICES);
     if devices.in_use == 0 {

@@ -1,39 +1,40 @@
 //! The reduction's buffers: a strata mask and a pixel count for each slot, and the lists of visible slots.
-//! While the device fills one list with the cubes of a batch, the host reads the other.
+//! While the device fills one list with the cubes of a batch, the host reads the other list.
 //!
 //! Masks and counts are zero between cubes: new buffers are zero, and the reduction resets them.
 
 use super::pipelines::{CUBES, Kit, scoped};
 
-/// Words before the ends of the cubes in a list.
+/// The number of words before the ends of the cubes in a list.
 pub(super) const BEFORE_ENDS: usize = 4;
-/// Bytes before a list's entries: [`BEFORE_ENDS`] words, and where each cube ends.
+/// The number of bytes before a list's entries: [`BEFORE_ENDS`] words, and the end of each cube.
 pub(super) const LIST_HEAD: u64 = 4 * (BEFORE_ENDS as u64 + CUBES as u64);
-/// Lists: batches of cubes in flight.
+/// The number of lists, and of batches of cubes in flight.
 pub(super) const LISTS: usize = 2;
-/// Most bytes of a list, but it always has room for one cube.
+/// Maximum size of a list in bytes. A list always has room for one cube.
 const LIST_BYTES: u64 = 1 << 26;
-/// Bytes of an entry: slot, strata mask, pixel count.
+/// Size of an entry in bytes: slot, strata mask, pixel count.
 pub(super) const ENTRY_BYTES: u64 = 12;
 
-/// Buffers for up to `slots` slots.
+/// The buffers of the reduction for up to `slots` slots.
 pub(super) struct DeviceTally {
     pub(super) slots: u32,
-    /// Most entries of a list.
+    /// The maximum number of entries of a list.
     pub(super) capacity: u32,
-    /// Most cubes of a batch: a list has room for all that they can show, or for one as far as the device
-    /// allows.
+    /// The maximum number of cubes of a batch. A list has room for all triangles that these cubes can show,
+    /// or for one cube as far as the device allows.
     pub(super) cubes: u32,
     pub(super) lists: [List; LISTS],
 }
 
-/// A list, and what the reduction into it binds.
+/// A list, and the bindings of the reduction into it.
 pub(super) struct List {
     pub(super) entries: wgpu::Buffer,
     pub(super) group: wgpu::BindGroup,
 }
 
-/// Most slots for which a device can hold masks and counts: one word of a storage binding for each slot.
+/// Returns the maximum number of slots of a device: masks and counts need one word of a storage binding per
+/// slot.
 pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
     let bytes = limits
         .max_storage_buffer_binding_size
@@ -42,10 +43,10 @@ pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
 }
 
 impl DeviceTally {
-    /// Makes buffers for at least `slots` slots and cubes of `pixels` pixels.
+    /// Creates buffers for at least `slots` slots and cubes of `pixels` pixels.
     ///
     /// # Errors
-    /// What the device says when it has no room.
+    /// The device's message if it has not enough memory.
     pub(super) fn new(
         device: &wgpu::Device,
         kit: &Kit,
@@ -53,7 +54,7 @@ impl DeviceTally {
         pixels: u32,
     ) -> Result<Self, String> {
         let limits = device.limits();
-        // Rounded up, so that supersets of similar size share one allocation.
+        // The number is rounded up, so that supersets of similar size share one allocation.
         let slots = slots
             .checked_next_power_of_two()
             .unwrap_or(u32::MAX)
@@ -62,13 +63,13 @@ impl DeviceTally {
         let bytes = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        // A cube shows at most as many triangles as it has pixels, so a list can overflow only where the
+        // A cube shows at most as many triangles as it has pixels, so a list can overflow only if the
         // device's limits shorten it.
         let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
         let cube = slots.min(pixels);
         let cubes =
             (LIST_BYTES / (u64::from(cube) * ENTRY_BYTES)).clamp(1, u64::from(CUBES)) as u32;
-        // At most 4096² · 6 of one cube, and less than 2²³ of several.
+        // The product is at most 4096² · 6 for one cube, and less than 2²³ for several cubes.
         let capacity = (cube * cubes).min(room);
         scoped(device, || {
             let storage = |label, size, more| {

@@ -7,7 +7,7 @@ use super::pipelines::MAX_RESOLUTION;
 use super::*;
 use crate::cube::Strata;
 
-/// Small triangles around the origin; the same at every call.
+/// Returns small triangles around the origin, the same at every call.
 fn shell(count: u32) -> Arc<Scene> {
     let triangles: Vec<_> = (0..count)
         .map(|i| {
@@ -46,7 +46,7 @@ fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
         page_bytes,
     ) {
         Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
             None
         }
@@ -54,9 +54,10 @@ fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
     }
 }
 
-/// Neither the division of triangles into buffers and draw calls nor the culling of clusters changes a bit.
+/// Checks that the division of triangles into buffers and draw calls, and the culling of clusters, change no
+/// bit.
 #[test]
-fn pages_and_draws_change_no_pixel() {
+fn pages_and_draws_do_not_change_pixels() {
     let scene = shell(1000);
     let (Some(one), Some(many)) = (backend(&scene, PAGE_BYTES), backend(&scene, 1)) else {
         return;
@@ -80,7 +81,7 @@ fn pages_and_draws_change_no_pixel() {
             )
             .unwrap();
             let renderer =
-                GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry)).unwrap();
+                GpuRenderer::new(&backend.gpu, &backend.buffers, Arc::new(geometry)).unwrap();
             assert_eq!(expected, renderer.samples(&eyes).unwrap(), "{style:?}");
             for (eye, sample) in eyes.iter().zip(&expected) {
                 let image = renderer.image(*eye).unwrap();
@@ -94,7 +95,7 @@ fn pages_and_draws_change_no_pixel() {
 }
 
 #[test]
-fn a_lost_device_is_an_error() {
+fn lost_device_is_error() {
     let Some(backend) = backend(&shell(200), PAGE_BYTES) else {
         return;
     };
@@ -103,14 +104,14 @@ fn a_lost_device_is_an_error() {
     backend.gpu.device.destroy();
     for _ in 0..2 {
         let error = renderer.samples(&[Vec3::ZERO; 6]).unwrap_err();
-        assert!(matches!(error, BackendError::Failed { .. }), "{error}");
+        assert!(matches!(error, TracerError::Failed { .. }), "{error}");
     }
     assert!(backend.prepare(Some(&[1, 2])).is_err());
 }
 
-/// Devices are kept for the next of the same choice, but not those that have failed.
+/// Checks that the next backend with the same choice uses a returned device, unless the device has failed.
 #[test]
-fn a_device_serves_the_next_backend() {
+fn next_backend_uses_returned_device() {
     let scene = shell(10);
     let Some(any) = backend(&scene, PAGE_BYTES) else {
         return;
@@ -118,7 +119,7 @@ fn a_device_serves_the_next_backend() {
     let Some(first) = adapters().first().cloned() else {
         panic!("an adapter without a summary")
     };
-    // No other test chooses it like this.
+    // No other test uses this choice.
     let choice = AdapterChoice::Named(first.name[..first.name.len() - 1].to_owned());
     drop(any);
     for lost in [false, true] {
@@ -144,12 +145,12 @@ fn a_device_serves_the_next_backend() {
 }
 
 #[test]
-fn impossible_requests_are_refused_with_a_reason() {
+fn impossible_requests_are_rejected_with_reason() {
     let scene = shell(10);
     for resolution in [0, MAX_RESOLUTION + 1, u32::MAX] {
         let spec = CubeSpec { resolution, ..SPEC };
         let refused = GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware);
-        assert!(matches!(refused, Err(BackendError::Unavailable(_))));
+        assert!(matches!(refused, Err(TracerError::Unavailable(_))));
     }
     let Some(backend) = backend(&scene, PAGE_BYTES) else {
         return;
@@ -163,5 +164,5 @@ fn impossible_requests_are_refused_with_a_reason() {
             .is_err()
     );
     let named = GpuBackend::new(scene, SPEC, AdapterChoice::Named("no such adapter".into()));
-    assert!(matches!(named, Err(BackendError::Unavailable(text)) if text.contains("there are")));
+    assert!(matches!(named, Err(TracerError::Unavailable(text)) if text.contains("there are")));
 }

@@ -1,4 +1,4 @@
-// Traces packets of rays that the host uploads (tracer.rs). Follows traverse.wgsl.
+// Traces packets of 16 rays that the host uploads (tracer.rs). Needs traverse.wgsl.
 
 // For each packet: origins by axis and lane, then directions by axis and lane.
 @group(1) @binding(0) var<storage, read> rays: array<f32>;

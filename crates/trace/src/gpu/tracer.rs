@@ -1,8 +1,10 @@
-//! Tracing packets on the device: uploads, dispatches and read-backs in a ring, so that the host copies one
-//! batch while the device traces another.
+//! The tracing of packets on the device.
 //!
-//! Rays are neither sorted nor changed, and each hit returns to the lane of its ray, so batch sizes and
-//! thread numbers do not change a result. Several threads may trace at once; each takes its buffers from a
+//! Uploads, dispatches and read-backs form a ring, so that the host copies one batch while the device traces
+//! another.
+//!
+//! Rays are neither sorted nor changed, and each hit returns to the lane of its ray. Batch sizes and thread
+//! numbers therefore do not change a result. Several threads may trace at once; each uses buffers from a
 //! common pool.
 
 use std::collections::VecDeque;
@@ -14,32 +16,32 @@ use super::locks::lock;
 use super::pipelines::scoped;
 use super::rounds::{GpuRounds, RoundsKit};
 use crate::cube::SKY;
-use crate::error::BackendError;
+use crate::error::TracerError;
 use crate::lines::device::{DeviceBlock, Rounds};
-use crate::packet::{LANES, LineTracer, Packet};
+use crate::packet::{Halves, LANES, LineTracer, Packet};
 
-/// Batches of one call that are in flight.
+/// The number of batches of one call that are in flight.
 const RING: usize = 3;
-/// Batches into which a call is divided, unless they become smaller than [`LEAST_BATCH`].
+/// The number of batches into which a call is divided, unless they become smaller than [`LEAST_BATCH`].
 const CUTS: usize = 6;
-/// Fewest packets for which a submission is worth its cost.
+/// Minimum number of packets for which a submission is worth its cost.
 const LEAST_BATCH: usize = 2048;
-/// Most packets of a batch: a million rays, which take a slow GPU some tens of milliseconds.
+/// Maximum number of packets of a batch: a million rays, which need tens of milliseconds on a slow GPU.
 const MOST_BATCH: usize = 1 << 16;
-/// Slots kept for later calls.
+/// The number of slots that are stored for later calls.
 const KEPT: usize = 16;
-/// Packets of a workgroup, as in `trace.wgsl`.
+/// The number of packets of a workgroup, as in `trace.wgsl`.
 const GROUP: usize = 4;
-/// 32-bit words of a packet's rays: origins and directions.
+/// The number of 32-bit words of a packet's rays: origins and directions.
 const RAY_WORDS: usize = 6 * LANES;
-/// 32-bit words of a packet's hits: distances and ids.
+/// The number of 32-bit words of a packet's hits: distances and ids.
 const HIT_WORDS: usize = 2 * LANES;
 
-/// Buffers of one batch.
+/// The buffers of one batch.
 struct BatchBuffers {
-    /// Packets that fit, in whole workgroups.
+    /// The number of packets that fit, in whole workgroups.
     capacity: usize,
-    /// Mapped for writing while the slot is in the pool.
+    /// The upload buffer, which is mapped for writing while the slot is in the pool.
     upload: wgpu::Buffer,
     rays: wgpu::Buffer,
     hits: wgpu::Buffer,
@@ -52,7 +54,7 @@ struct LineBatch<'p> {
     packets: &'p mut [Packet],
     slot: BatchBuffers,
     submission: wgpu::SubmissionIndex,
-    /// Receives two messages: the read-back is mapped; the upload is mapped for the next batch.
+    /// The receiver of two messages: the read-back is mapped, and the upload is mapped for the next batch.
     mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
 }
 
@@ -72,12 +74,12 @@ impl LineKit {
         }
     }
 
-    /// What whole rounds on the device need.
+    /// Returns the data that whole rounds on the device need.
     pub(super) fn for_rounds(&self) -> (&DeviceLineScene, &RoundsKit) {
         (&self.scene, &self.rounds)
     }
 
-    /// A slot for this number of packets, from the pool or new.
+    /// Returns a slot for this number of packets, from the pool or new.
     fn slot(&self, device: &wgpu::Device, packets: usize) -> Result<BatchBuffers, String> {
         let spare = {
             let mut pool = lock(&self.pool);
@@ -106,7 +108,7 @@ impl LineKit {
 }
 
 impl BatchBuffers {
-    /// Buffers for `capacity` packets.
+    /// Creates buffers for `capacity` packets.
     fn new(
         device: &wgpu::Device,
         scene: &DeviceLineScene,
@@ -155,8 +157,8 @@ impl BatchBuffers {
         })
     }
 
-    /// Copies the packets' rays into the upload buffer and unmaps it. Unused lanes get the direction zero,
-    /// which hits nothing.
+    /// Copies the packets' rays into the upload buffer and unmaps it. Unused lanes have the direction zero,
+    /// which never hits a triangle.
     fn fill(&self, packets: &[Packet]) -> Result<(), wgpu::MapRangeError> {
         {
             let bytes = 4 * RAY_WORDS;
@@ -182,11 +184,11 @@ impl BatchBuffers {
     }
 }
 
-/// Traces lines through the whole scene of a [`super::GpuBackend`].
+/// A tracer of lines through the whole scene of a [`super::GpuBackend`].
 pub(super) struct GpuTracer<'a> {
     gpu: &'a Gpu,
     kit: Arc<LineKit>,
-    /// Most packets of a batch.
+    /// The maximum number of packets of a batch.
     most: usize,
 }
 
@@ -203,7 +205,7 @@ impl<'a> GpuTracer<'a> {
         Self { gpu, kit, most }
     }
 
-    fn trace_in(&self, packets: &mut [Packet], batch: usize) -> Result<(), BackendError> {
+    fn trace_in(&self, packets: &mut [Packet], batch: usize) -> Result<(), TracerError> {
         self.gpu.check()?;
         if self.kit.scene.empty {
             for packet in packets {
@@ -225,7 +227,7 @@ impl<'a> GpuTracer<'a> {
     }
 
     /// Records and submits one batch.
-    fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<LineBatch<'p>, BackendError> {
+    fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<LineBatch<'p>, TracerError> {
         let b = self.gpu;
         let slot = self
             .kit
@@ -248,7 +250,7 @@ impl<'a> GpuTracer<'a> {
             pass.set_pipeline(pipeline);
             pass.set_bind_group(0, &self.kit.scene.group, &[]);
             pass.set_bind_group(1, &slot.group, &[]);
-            // The last group may also trace rays of an earlier batch; their hits are not read. There are at
+            // The last group may also trace rays of an earlier batch, whose hits are not read. There are at
             // most `most` / GROUP groups.
             pass.dispatch_workgroups(packets.len().div_ceil(GROUP) as u32, 1, 1);
         }
@@ -256,7 +258,7 @@ impl<'a> GpuTracer<'a> {
         let submission = b.queue.submit([encoder.finish()]);
         let (sender, mapped) = mpsc::channel();
         let again = sender.clone();
-        // The receiver is gone when an earlier batch failed.
+        // The receiver no longer exists if an earlier batch failed.
         slot.read_back
             .map_async(wgpu::MapMode::Read, ..bytes(HIT_WORDS), move |r| {
                 drop(sender.send(r))
@@ -273,7 +275,7 @@ impl<'a> GpuTracer<'a> {
     }
 
     /// Waits for a batch and reads its hits. The slot returns to the pool only on success.
-    fn land(&self, flight: LineBatch<'_>) -> Result<(), BackendError> {
+    fn land(&self, flight: LineBatch<'_>) -> Result<(), TracerError> {
         let b = self.gpu;
         let LineBatch {
             packets,
@@ -313,7 +315,7 @@ impl LineTracer for GpuTracer<'_> {
         2 * LEAST_BATCH
     }
 
-    fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
+    fn trace(&self, packets: &mut [Packet], _: Halves, _: bool) -> Result<(), TracerError> {
         let batch = packets
             .len()
             .div_ceil(CUTS)
@@ -326,7 +328,7 @@ impl LineTracer for GpuTracer<'_> {
     fn rounds<'b>(
         &'b self,
         block: &DeviceBlock<'_>,
-    ) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
+    ) -> Result<Option<Box<dyn Rounds + 'b>>, TracerError> {
         let (scene, kit) = self.kit.for_rounds();
         let made = GpuRounds::new(self.gpu, scene, kit, block)?;
         Ok(made.map(|rounds| Box::new(rounds) as Box<dyn Rounds + 'b>))

@@ -4,13 +4,13 @@ use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
 
 use super::*;
-use crate::backend::Backend;
 use crate::cube::{CubeSpec, Strata};
 use crate::gpu::AdapterChoice;
 use crate::gpu::GpuBackend;
 use crate::gpu::line_scene::Refusal;
+use crate::tracer::Tracer;
 
-/// Pseudo-random number in −1…1.
+/// Returns a pseudo-random number in −1…1.
 fn noise(i: u32) -> f32 {
     let x = i.wrapping_mul(0x9e37_79b9) ^ 0x85eb_ca6b;
     let x = (x ^ (x >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -44,7 +44,7 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     };
     match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
             None
         }
@@ -73,7 +73,7 @@ fn bits(packets: &[Packet]) -> Vec<([u32; LANES], [u32; LANES])> {
 }
 
 #[test]
-fn batches_pages_and_threads_change_no_bit() {
+fn batches_pages_and_threads_do_not_change_bits() {
     let scene = soup(500);
     let Some(backend) = backend(&scene) else {
         return;
@@ -90,7 +90,7 @@ fn batches_pages_and_threads_change_no_bit() {
     };
     let one = tracer(u64::MAX);
     let mut expected = packets(700);
-    one.trace(&mut expected).unwrap();
+    one.trace(&mut expected, Halves::Rays, true).unwrap();
     assert!(
         expected
             .iter()
@@ -105,8 +105,8 @@ fn batches_pages_and_threads_change_no_bit() {
                 .all(|(t, d)| (*t == SKY) == d.is_infinite())
         );
     }
-    // Three pages of 224 triangles each, and of 336 nodes each; there are at most twice as many nodes as
-    // triangles.
+    // Three pages of 224 triangles each, and of 336 nodes each. A hierarchy has at most twice as many nodes
+    // as triangles.
     let many = tracer(336 * 32);
     for (tracer, batch) in [(&one, 1), (&one, 64), (&many, 1024), (&many, 37)] {
         let mut again = packets(700);
@@ -127,7 +127,7 @@ fn batches_pages_and_threads_change_no_bit() {
 }
 
 #[test]
-fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
+fn rejects_scene_that_exceeds_limit_and_names_limit() {
     let scene = soup(500);
     let Some(backend) = backend(&scene) else {
         return;
@@ -142,7 +142,7 @@ fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
 }
 
 #[test]
-fn a_lost_device_is_an_error() {
+fn lost_device_is_error() {
     let Some(backend) = backend(&soup(50)) else {
         return;
     };
@@ -152,10 +152,12 @@ fn a_lost_device_is_an_error() {
             &(0..backend.scene.len()).collect::<Vec<_>>(),
         )
         .unwrap();
-    tracer.trace(&mut packets(20)).unwrap();
+    tracer.trace(&mut packets(20), Halves::Rays, true).unwrap();
     backend.gpu.device.destroy();
     for _ in 0..2 {
-        let error = tracer.trace(&mut packets(20)).unwrap_err();
-        assert!(matches!(error, BackendError::Failed { .. }), "{error}");
+        let error = tracer
+            .trace(&mut packets(20), Halves::Rays, true)
+            .unwrap_err();
+        assert!(matches!(error, TracerError::Failed { .. }), "{error}");
     }
 }

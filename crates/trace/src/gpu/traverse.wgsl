@@ -1,14 +1,15 @@
-// Finds the nearest triangle along each ray: a traversal of the hierarchy of bvh.rs with a stack.
+// Finds the nearest triangle along a ray, by a traversal of the hierarchy of bvh.rs with a stack.
 //
-// Units. The scene is scaled by a power of two to about one, and each direction so that its largest component
-// is 1 to 2. Both scalings are exact, so the size of scenes and directions does not matter.
+// Units. A power of two scales the scene to a size of about 1, and another one scales each direction so that
+// its largest component is 1 to 2. Both scalings are exact, so the size of scenes and directions does not
+// affect the result.
 //
 // Watertight (Woop et al. 2013). Vertices are translated and sheared so that the ray becomes the third axis.
-// The result depends on vertex and ray only, so all triangles that share a vertex agree on it. The side of
-// the axis on which an edge lies is then decided exactly. So a hit is an exact statement about the
-// transformed vertices, and no ray passes between two triangles that share an edge or a vertex. The device
-// may fuse products and sums: only rounded products are compared, rounding is monotone, and equal rounded
-// products are compared in integers.
+// The transformed vertex depends only on the vertex and the ray, so it is the same for all triangles that
+// share the vertex. The side of the axis on which an edge lies is then decided exactly. So a hit is an exact
+// statement about the transformed vertices, and no ray passes between two triangles that share an edge or a
+// vertex. The device may fuse products and sums: only rounded products are compared, rounding is monotone,
+// and equal rounded products are compared in integers.
 //
 // Boxes are widened by 2^-19 of the distance to the scene's farthest corner. Of that distance, shearing moves
 // a vertex by at most 10 · 2^-24 (subtraction 1, its error sheared 1, quotient of 2.5 ulp 5, product 1, sum
@@ -16,27 +17,30 @@
 // is 32 · 2^-24.
 //
 // Order. The distance of a hit is clamped to the span of the triangle's own box. Spans are monotone in the
-// box, also after rounding, so no box is skipped that holds a hit at least as near as the nearest known.
-// Among equal distances the least id wins. So the order of the traversal does not change the result.
+// box, also after rounding, so the traversal skips no box with a hit at least as near as the nearest known
+// hit. Among hits at equal distances, the triangle with the lowest id counts. So the order of the traversal
+// does not affect the result.
 
 struct Scene {
     low: vec3<f32>,
-    // Powers of two that scale scene units to about one, and back.
+    // Powers of two: `scale` scales scene units so that the scene's size is about 1, and `unscale` is its
+    // inverse.
     scale: f32,
     high: vec3<f32>,
     unscale: f32,
-    // Hits must be farther than this, in scaled units.
+    // Minimum distance of a hit, exclusive, in scaled units.
     near: f32,
 }
 
-// Whether there is more than one page; nodes and triangles in a page.
+// PAGED: true if the buffers have more than one page. NODE_PAGE and TRIANGLE_PAGE: numbers of nodes and
+// triangles in a page.
 override PAGED: bool = false;
 override NODE_PAGE: u32 = 1u;
 override TRIANGLE_PAGE: u32 = 1u;
-// Whether some triangles are met from one side alone.
+// True if some triangles are hit only from one side.
 override CULL: bool = false;
 
-// As in bvh.rs.
+// The depth of the stack, and the layout of a node's child word, as in bvh.rs.
 const STACK: u32 = 40u;
 const COUNT_BITS: u32 = 4u;
 const COUNT_MASK: u32 = 15u;
@@ -45,21 +49,23 @@ const SKY: u32 = 0xffffffffu;
 const INFINITE: u32 = 0x7f800000u;
 // Distance of a ray without a hit; greater than every scaled distance.
 const FAR: f32 = 3e38;
-// 2^60: a ray from an origin farther away hits nothing. Products of two translated coordinates stay finite.
+// 2^60: the maximum coordinate of an origin, in scaled units. A ray from a farther origin has no hit, so
+// products of two translated coordinates stay finite.
 const MOST_DISTANT: f32 = 1152921504606846976.0;
-// 2^-60: smaller components of a direction are replaced by this in box tests. 2^-100: smaller sheared
+// 2^-60: box tests replace smaller components of a direction by this value. 2^-100: smaller sheared
 // coordinates become zero.
 const LEAST_DIRECTION: f32 = 8.673617379884035e-19;
 const LEAST_SHEARED: f32 = 7.888609052210118e-31;
-// 2^-19.
+// 2^-19: the widening of boxes, as a fraction of the distance to the scene's farthest corner.
 const WIDENING: f32 = 0.0000019073486328125;
 
 @group(0) @binding(0) var<uniform> scene: Scene;
-// Two elements for each node: low corner and child; high corner and an unused word.
+// Two elements for each node: minimum corner and child word; maximum corner and an unused word.
 @group(0) @binding(1) var<storage, read> nodes_a: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> nodes_b: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> nodes_c: array<vec4<u32>>;
-// Three elements for each triangle: the vertices; the first also holds the id, the second the side.
+// Three elements for each triangle: its vertices. The fourth word of the first element is the id, and of the
+// second element the side.
 @group(0) @binding(4) var<storage, read> triangles_a: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> triangles_b: array<vec4<u32>>;
 @group(0) @binding(6) var<storage, read> triangles_c: array<vec4<u32>>;
@@ -75,21 +81,24 @@ struct Corners {
     b: vec3<f32>,
     c: vec3<f32>,
     id: u32,
-    // 0: met from both sides. 1: from where the vertices run counter-clockwise; 2: clockwise.
+    // 0: rays hit the triangle from both sides. 1: only from the side on which the vertices run
+    // counter-clockwise. 2: only from the side on which they run clockwise.
     side: u32,
 }
 
 struct Ray {
     origin: vec3<f32>,
     direction: vec3<f32>,
-    // For box tests.
+    // Values for box tests: the inverse of the direction, the widening, and true for each axis along which
+    // the ray runs in negative direction.
     inverse: vec3<f32>,
     widening: vec3<f32>,
     backwards: vec3<bool>,
-    // For triangle tests: the axis of the direction's largest component, and the shear of the other two axes.
+    // Values for triangle tests: the axis of the direction's largest component, and the shear of the other
+    // two axes.
     major: u32,
     shear: vec2<f32>,
-    // Whether the ray goes up that axis.
+    // True if the ray runs in positive direction along the axis `major`.
     upwards: bool,
     near: f32,
 }
@@ -140,7 +149,8 @@ fn corners_at(index: u32) -> Corners {
     );
 }
 
-// The distances at which the ray enters and leaves the widened box. A ray that misses has enter > leave.
+// Returns the distances at which the ray enters and leaves the widened box. For a ray that misses the box,
+// the first distance is larger.
 fn span(ray: Ray, low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
     let first = select(low, high, ray.backwards) - ray.origin;
     let last = select(high, low, ray.backwards) - ray.origin;
@@ -149,19 +159,20 @@ fn span(ray: Ray, low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(max(max(enter.x, enter.y), enter.z), min(min(leave.x, leave.y), leave.z));
 }
 
-// Rotates the axes so that `major` comes last.
+// Rotates the axes so that the axis `major` is the last one.
 fn turned(v: vec3<f32>, major: u32) -> vec3<f32> {
     return select(select(v.xyz, v.zxy, major == 1u), v.yzx, major == 0u);
 }
 
-// The vertex in the sheared frame of the ray. An explicit fma rounds every vertex in the same way.
+// Returns the vertex in the sheared frame of the ray. An explicit fma rounds every vertex in the same way.
 fn sheared(ray: Ray, vertex: vec3<f32>) -> vec2<f32> {
     let v = turned(vertex - ray.origin, ray.major);
     let s = fma(-ray.shear, v.zz, v.xy);
     return select(s, vec2<f32>(0.0), abs(s) < vec2<f32>(LEAST_SHEARED));
 }
 
-// An exact product: its sign (0 for zero), its exponent, and 48 bits of which the highest is set.
+// An exact product: its sign (0 for zero), its exponent, and 48 bits of its significand, of which the highest
+// bit is 1.
 struct Product {
     sign: i32,
     exponent: u32,
@@ -192,7 +203,7 @@ fn product(a: f32, b: f32) -> Product {
     return Product(select(1, -1, ((x ^ y) >> 31u) != 0u), exponent, high, low);
 }
 
-// The sign of a·b − c·d, exactly.
+// Returns the exact sign of a·b − c·d.
 fn exact_order(a: f32, b: f32, c: f32, d: f32) -> i32 {
     let p = product(a, b);
     let q = product(c, d);
@@ -211,7 +222,7 @@ fn exact_order(a: f32, b: f32, c: f32, d: f32) -> i32 {
     return 0;
 }
 
-// The side of the edge from p to q on which the origin lies: −1, 0 or 1.
+// Returns the side of the edge from p to q on which the point (0, 0) of the sheared frame lies: −1, 0 or 1.
 fn side(p: vec2<f32>, q: vec2<f32>) -> i32 {
     let u = p.x * q.y;
     let v = p.y * q.x;
@@ -224,7 +235,7 @@ fn side(p: vec2<f32>, q: vec2<f32>) -> i32 {
     return exact_order(p.x, q.y, p.y, q.x);
 }
 
-// The scaled distance of the triangle along the ray; FAR without a hit.
+// Returns the scaled distance of the triangle along the ray, or FAR without a hit.
 fn meet(ray: Ray, t: Corners) -> f32 {
     let a = sheared(ray, t.a);
     let b = sheared(ray, t.b);
@@ -234,16 +245,19 @@ fn meet(ray: Ray, t: Corners) -> f32 {
     let w = side(a, b);
     let least = min(min(u, v), w);
     let most = max(max(u, v), w);
-    // Hits count on both sides and on the border. A triangle seen edge-on is not hit; its neighbours are.
+    // Hits count on both sides and on the border. A ray in the plane of a triangle hits its neighbours
+    // instead.
     if (least == 0 && most == 0) || (least < 0 && most > 0) {
         return FAR;
     }
-    // The turned axes are right-handed, so the vertices run counter-clockwise as seen from up the third axis
-    // when the origin is on the left of each edge. A ray that goes up meets such a triangle from behind.
+    // The rotated axes are right-handed. If the origin is on the left of each edge, the vertices run
+    // counter-clockwise as seen from the positive end of the third axis. A ray in positive direction hits
+    // such a triangle from behind.
     if CULL && t.side != 0u && ((most > 0) == ray.upwards) == (t.side == 1u) {
         return FAR;
     }
-    // The distance to the plane; exactly zero where the ray begins in the plane of an axis-aligned wall.
+    // The distance to the triangle's plane. The distance is exactly 0 if the ray begins in the plane of an
+    // axis-aligned wall.
     let normal = cross(t.b - t.a, t.c - t.a);
     let height = dot(normal, t.a - ray.origin);
     let slope = dot(normal, ray.direction);
@@ -257,16 +271,17 @@ fn meet(ray: Ray, t: Corners) -> f32 {
 }
 
 struct Hit {
-    // In lengths of the direction; FAR without a hit.
+    // The distance in lengths of the direction; FAR without a hit.
     distance: f32,
-    // SKY without a hit.
+    // The id of the triangle; SKY without a hit.
     id: u32,
 }
 
-// The nearest triangle along the ray from `given_origin` in the direction `given`, both in scene units.
+// Returns the nearest triangle along the ray from `given_origin` in the direction `given`, both in scene
+// units.
 fn nearest_along(given_origin: vec3<f32>, given: vec3<f32>) -> Hit {
     let missed = Hit(FAR, SKY);
-    // Infinities and NaN are recognised by their bits, since a device may assume that they do not occur.
+    // Test the bits for infinities and NaN, because a device may assume that such numbers do not occur.
     let origin_exponents = (bitcast<vec3<u32>>(given_origin) >> vec3<u32>(23u)) & vec3<u32>(0xffu);
     let exponents = (bitcast<vec3<u32>>(given) >> vec3<u32>(23u)) & vec3<u32>(0xffu);
     let exponent = max(max(exponents.x, exponents.y), exponents.z);

@@ -1,8 +1,8 @@
 //! The table of triangles and cells: two copies of a row per triangle with a bit per cell.
 //!
-//! Decisions read the copy published at the last barrier; finds are written to the other copy. So the result
-//! does not depend on the order of the threads: the bitwise or commutes, and no thread reads the written copy
-//! before all threads have finished the phase.
+//! Decisions read the copy published at the last barrier, and new credits are written to the other copy. The
+//! result therefore does not depend on the order of the threads: the bitwise or commutes, and no thread reads
+//! the written copy before all threads have finished the phase.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::grid::Slot;
 
-/// Number of rows that share one mark of change.
+/// The number of rows that share one mark of change.
 const GROUP: usize = 16;
 
 /// A bit for each triangle and cell.
@@ -22,7 +22,7 @@ pub struct SeenBits {
 }
 
 impl SeenBits {
-    /// An empty table of `rows` triangles with `words` words of 64 cells each.
+    /// Creates an empty table of `rows` triangles with `words` words of 64 cells each.
     pub fn new(rows: usize, words: usize) -> Self {
         // All threads write the zeros. A page that is read before it is written is mapped twice, and the
         // second mapping interrupts every core.
@@ -39,45 +39,45 @@ impl SeenBits {
         }
     }
 
-    /// Words of a row.
+    /// Returns the number of words of a row.
     pub fn words(&self) -> usize {
         self.words
     }
 
-    /// A triangle's cells as of the last barrier.
-    pub fn row(&self, triangle: u32) -> &[u64] {
-        &self.before[triangle as usize * self.words..][..self.words]
+    /// Returns the cells of a row as of the last barrier.
+    pub fn row(&self, row: u32) -> &[u64] {
+        &self.before[row as usize * self.words..][..self.words]
     }
 
-    /// Whether a triangle was seen from a cell at the last barrier.
-    pub fn seen(&self, triangle: u32, slot: Slot) -> bool {
-        self.before[triangle as usize * self.words + slot.word as usize] >> slot.bit & 1 == 1
+    /// Returns true if a row was credited to a cell at the last barrier.
+    pub fn seen(&self, row: u32, slot: Slot) -> bool {
+        self.before[row as usize * self.words + slot.word as usize] >> slot.bit & 1 == 1
     }
 
-    /// Credits cells with a triangle; visible to readers after the next barrier.
-    pub fn credit(&self, triangle: u32, crossed: &[(u32, u64)]) {
-        let row = triangle as usize * self.words;
+    /// Credits cells with a row. The credit is visible to readers after the next barrier.
+    pub fn credit(&self, row: u32, crossed: &[(u32, u64)]) {
+        let start = row as usize * self.words;
         for (word, bits) in crossed {
-            let at = row + *word as usize;
+            let at = start + *word as usize;
             if bits & !self.before[at] != 0 && bits & !self.now[at].load(Relaxed) != 0 {
                 self.now[at].fetch_or(*bits, Relaxed);
-                self.touched[triangle as usize / GROUP].store(1, Relaxed);
+                self.touched[row as usize / GROUP].store(1, Relaxed);
             }
         }
     }
 
-    /// The whole table as of the last barrier.
+    /// Returns the whole table as of the last barrier.
     pub fn table(&self) -> &[u64] {
         &self.before
     }
 
-    /// Number of words of the table.
+    /// Returns the number of words of the table.
     pub fn places(&self) -> usize {
         self.before.len()
     }
 
-    /// Calls `each` with the place and the bits of every word that has credits since the last barrier, by
-    /// ascending place.
+    /// Calls `each` with the index and the new bits of every word that has credits since the last barrier, by
+    /// ascending index.
     pub fn each_new(&self, mut each: impl FnMut(usize, u64)) {
         self.each_touched(|at| {
             let new = self.now[at].load(Relaxed) & !self.before[at];
@@ -87,19 +87,19 @@ impl SeenBits {
         });
     }
 
-    /// Takes back all credits since the last barrier. No thread may credit meanwhile.
+    /// Removes all credits since the last barrier. No thread may credit during the call.
     pub fn forget(&self) {
         self.each_touched(|at| self.now[at].store(self.before[at], Relaxed));
         self.touched.iter().for_each(|t| t.store(0, Relaxed));
     }
 
-    /// Credits the cells of the bits of a word, by its place.
+    /// Credits the cells of the bits of a word, by its index.
     pub fn add(&self, at: usize, bits: u64) {
         self.now[at].fetch_or(bits, Relaxed);
         self.touched[at / self.words / GROUP].store(1, Relaxed);
     }
 
-    /// Calls `each` with the place of every word of a row group that has credits since the last barrier.
+    /// Calls `each` with the index of every word of a row group that has credits since the last barrier.
     fn each_touched(&self, mut each: impl FnMut(usize)) {
         let group = GROUP * self.words;
         for (number, _) in self
@@ -130,7 +130,7 @@ impl SeenBits {
             });
     }
 
-    /// Publishes, and gives all triangles of each class the union of their rows.
+    /// Publishes all credits, and sets the rows of all triangles of each class to their union.
     pub fn share(&mut self, classes: &[Vec<u32>]) {
         self.publish();
         for class in classes {
@@ -142,8 +142,8 @@ impl SeenBits {
         }
     }
 
-    /// Publishes, adds each row after the first `items` to the rows that `shared` names for it, and drops
-    /// these rows.
+    /// Publishes all credits, adds each row after the first `items` to the rows that `shared` lists for it,
+    /// and removes these rows.
     pub fn share_rows(&mut self, items: u32, shared: &[Vec<u32>]) {
         self.publish();
         for (row, with) in (items as usize..).zip(shared) {
@@ -178,7 +178,7 @@ impl SeenBits {
         self.before = items;
     }
 
-    /// The triangles seen from each cell of a word, ascending.
+    /// Returns the triangles seen from each cell of a word, in ascending order.
     pub fn columns(&self, word: u32) -> Vec<Vec<u32>> {
         let mut columns = vec![Vec::new(); 64];
         for (triangle, bits) in self

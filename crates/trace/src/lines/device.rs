@@ -1,10 +1,10 @@
-//! Devices that cast whole rounds of a block by themselves: the interface between the rounds of
-//! lines and the backends that have such a device.
+//! Devices that cast whole rounds of a block: the interface between the rounds of lines and the backends with
+//! such a device.
 //!
-//! The device keeps the block's table. It makes the lines of a phase, traces them, credits the cells and
-//! counts; only new words of the table and a few numbers per cell come back. Decisions stay with
-//! the rounds of the sampler: which cells are open, how many lines each gets, when it is done. The random
-//! numbers are the device's own, so a profile with such a device has its own results.
+//! The device stores the block's table. It creates the lines of a phase, traces them, credits the cells and
+//! counts. The host reads only new words of the table and a few numbers per cell. The sampler still makes the
+//! decisions: the open cells, the number of lines per cell, and the end of a cell. The random numbers are the
+//! device's own, so a profile with such a device has its own results.
 
 use glam::Vec3;
 use sightline_scene::Scene;
@@ -13,216 +13,234 @@ pub use super::FLOOD_STEPS;
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Slot};
 pub use super::tally::{DECADES, Tally};
-use crate::error::BackendError;
+use crate::error::TracerError;
 use crate::surface::Surface;
 
-/// A view cell, as a device needs it.
+/// A view cell, in the form that a device needs.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceCell {
-    /// Least corner, scene units.
+    /// The minimum corner of the cell, in scene units.
     pub low: Vec3,
-    /// Size, scene units.
+    /// The size of the cell, in scene units.
     pub size: Vec3,
-    /// Coordinates in the grid.
+    /// The coordinates of the cell in the grid.
     pub at: [u32; 3],
-    /// The place of its bit.
+    /// The place of the cell's bit in a row.
     pub slot: Slot,
-    /// Which of its parts hold viewpoints; all bits when all do.
+    /// The parts of the cell that contain viewpoints; all bits if all parts do.
     pub parts: u64,
-    /// Names its random numbers: no other cell of the job has the same.
+    /// The key of the cell's random numbers, which no other cell of the job has.
     pub key: u64,
 }
 
-/// A block with nothing seen.
+/// A block in which no cell has seen a triangle.
 pub struct DeviceBlock<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Facts about its triangles.
+    /// The facts about the scene's triangles.
     pub surface: &'a Surface,
-    /// Row of each triangle in the table; empty when it is the triangle's id.
+    /// The row of each triangle in the table; empty if the row is the triangle's id.
     pub rows: &'a [u32],
-    /// Rows of the table.
+    /// The number of rows of the table.
     pub row_count: usize,
-    /// The cells' grid.
+    /// The grid of the cells.
     pub grid: &'a CellGrid,
     /// The cells, in the order of [`CellGrid::each`].
     pub cells: &'a [DeviceCell],
-    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    /// The words of a row without the cells that have no viewpoint; empty if all cells have one.
     pub reached: &'a [u64],
-    /// Least distance between the origin of a line and the start of its other half, scene units.
+    /// The minimum distance between the origin of a line and the start of its other half, in scene units.
     pub step: f32,
-    /// Where lines end, scene units; infinite when they do not.
+    /// The distance at which lines end, in scene units; infinite for unlimited sight.
     pub far: f32,
-    /// Whether some triangles have one side.
+    /// True if some triangles have one side.
     pub one_way: bool,
-    /// Names the seeds' random numbers.
+    /// The key of the seeds' random numbers.
     pub key: u64,
-    /// The division over which pairs of cells are looked for, if the job asks.
+    /// The division over which pairs of cells are searched; `None` if the job does not request pairs.
     pub pairs: Option<DevicePairs<'a>>,
 }
 
-/// The division over which pairs of cells are looked for.
+/// The division over which pairs of cells are searched.
 pub struct DevicePairs<'a> {
-    /// Its grid.
+    /// The grid of the division.
     pub grid: &'a CellGrid,
-    /// Its cells, in the order of [`CellGrid::each`].
+    /// The cells of the division, in the order of [`CellGrid::each`].
     pub cells: &'a [DeviceCell],
-    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    /// The words of a row without the cells that have no viewpoint; empty if all cells have one.
     pub reached: &'a [u64],
-    /// For each cell of the block its slot in this grid.
+    /// The slot in this grid of each cell of the block.
     pub slots: &'a [u32],
-    /// One line in so many joins the cells that it crosses: of uniform lines, of others.
+    /// The joining intervals of uniform lines and of other lines: one line in this number joins the cells it
+    /// crosses.
     pub joins: [u32; 2],
 }
 
-/// Segments between random points of two cells of the division.
+/// The segments of a round between random points of two cells of the division.
 #[derive(Clone, Copy, Debug)]
 pub struct SegmentWork<'a> {
-    /// Cells that cast, by their places in [`DevicePairs::cells`].
+    /// The cells that cast, by their indices in [`DevicePairs::cells`].
     pub cells: &'a [u32],
-    /// Number of the round.
+    /// The number of the round.
     pub round: u32,
-    /// Whether at any later cells, or at open pairs alone.
+    /// True if segments are cast at any later cells, false if only at open pairs.
     pub at_any: bool,
-    /// Most segments from a cell.
+    /// The maximum number of segments from a cell.
     pub most: u32,
 }
 
-/// Uniform lines from a cell.
+/// The uniform lines of a round from a cell.
 #[derive(Clone, Copy, Debug)]
 pub struct UniformWork {
-    /// Its place in [`DeviceBlock::cells`].
+    /// The index of the cell in [`DeviceBlock::cells`].
     pub cell: usize,
-    /// Tiles of 4×4 lines along a side of a cube's face.
+    /// The number of tiles of 4×4 lines along a side of a cube's face.
     pub tiles: u32,
-    /// Tiles that it has cast in earlier rounds.
+    /// The number of tiles that the cell has cast in earlier rounds.
     pub base: u64,
 }
 
-/// Lines at the candidates of a cell.
+/// The lines of a round at the candidates of a cell.
 #[derive(Clone, Copy, Debug)]
 pub struct AimWork {
-    /// Its place in [`DeviceBlock::cells`].
+    /// The index of the cell in [`DeviceBlock::cells`].
     pub cell: usize,
-    /// Least part of the sphere that a candidate covers.
+    /// The minimum fraction of the sphere that a candidate covers.
     pub least: f64,
-    /// Uniform rays that it has cast.
+    /// The number of uniform rays that the cell has cast.
     pub rays: u64,
 }
 
-/// How often a candidate is tried, by decade of its part of the sphere.
+/// The number of attempts at a candidate, by decade of its fraction of the sphere.
 #[derive(Clone, Copy, Debug)]
 pub struct AimPlan {
-    /// Number of the phase among those of the block that aim.
+    /// The number of the phase among the aiming phases of the block.
     pub phase: u32,
-    /// Tries in this round; a fraction is the probability of one more.
+    /// The number of attempts in this round. A fraction is the probability of one more attempt.
     pub times: [f32; DECADES],
-    /// Tries in all rounds before.
+    /// The number of attempts in all previous rounds.
     pub so_far: [f32; DECADES],
-    /// Steps of the flood from what they find.
+    /// The number of flood steps from the newly found triangles.
     pub flood_steps: u32,
 }
 
-/// What a device found in a phase.
+/// The result of a phase on a device.
 #[derive(Default)]
-pub struct Found {
-    /// Four counts for each item; their meaning depends on the kind of lines.
+pub struct DevicePhaseResult {
+    /// Four counts for each item. Their meaning depends on the kind of lines.
     pub counts: Vec<[u32; 4]>,
-    /// Rays that belong to no cell of the block.
+    /// The number of rays that belong to no cell of the block.
     pub rays: u64,
-    /// The yields of candidates.
+    /// The tally of attempts at candidates.
     pub tally: Tally,
-    /// New bits: place of the word in the table, bits. In any order.
+    /// The new bits of the table, in any order: the index of a word, and its bits.
     pub words: Vec<(u32, u64)>,
-    /// The same of the table of pairs.
+    /// The new bits of the table of pairs, in any order: the index of a word, and its bits.
     pub pair_words: Vec<(u32, u64)>,
 }
 
-/// What went between host and device since the block was made, and the rays that were cast.
+/// The traffic between host and device since the block was created, and the number of cast rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traffic {
-    /// Rays.
+    /// The number of cast rays.
     pub rays: u64,
-    /// Bytes to the device.
+    /// The number of bytes sent to the device.
     pub up: u64,
-    /// Bytes from the device.
+    /// The number of bytes read from the device.
     pub down: u64,
-    /// Waits for the device.
+    /// The number of waits for the device.
     pub waits: u64,
-    /// Seconds of all these waits.
+    /// The sum of all waits in seconds.
     pub seconds: f64,
 }
 
-/// The time that a kernel took since the block was made.
+/// The time that a kernel needed since the block was created.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KernelTime {
-    /// Its entry point.
+    /// The entry point of the kernel.
     pub name: &'static str,
-    /// Seconds of all its runs.
+    /// The sum of all runs in seconds.
     pub seconds: f64,
-    /// Its runs.
+    /// The number of runs.
     pub runs: u64,
 }
 
-/// Is told the rays of the last part of a phase, about, and says whether the work goes on.
-pub type GoesOn<'a> = &'a (dyn Fn(u64) -> bool + Sync);
+/// A function that receives the approximate number of rays of the last part of a phase. It returns true if
+/// the work continues.
+pub type ContinueCheck<'a> = &'a (dyn Fn(u64) -> bool + Sync);
 
-/// A block on a device. What a phase finds is in the device's table when the phase ends, as if published.
+/// A block on a device. At the end of a phase, the device's table contains the phase's results, as if
+/// published.
 pub trait Rounds: Send + Sync {
-    /// Makes the device's tables those of the last barrier. `pairs` is a copy of the table of pairs.
+    /// Sets the device's tables to the tables of the last barrier. `pairs` is a copy of the table of pairs.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device does.
-    fn restart(&self, bits: &SeenBits, pairs: Option<&[u64]>) -> Result<(), BackendError>;
+    /// [`TracerError::Failed`] if the device fails.
+    fn restart(&self, bits: &SeenBits, pairs: Option<&[u64]>) -> Result<(), TracerError>;
 
-    /// A round of uniform lines, and the flood from what they find. Counts of an item: rays that met a
-    /// triangle which its cell had not seen, finds, rays of the flood, finds of the flood. A phase that is
-    /// broken off need not have counts.
+    /// Casts a round of uniform lines and floods from the newly found triangles.
+    ///
+    /// An item has four counts: rays that met a triangle new to the cell, newly found triangles, rays of the
+    /// flood, and triangles found by the flood. An interrupted phase need not have counts.
     ///
     /// # Errors
-    /// As [`Rounds::restart`].
-    fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+    /// The errors of [`Rounds::restart`].
+    fn uniform(
+        &self,
+        work: &[UniformWork],
+        goes_on: ContinueCheck<'_>,
+    ) -> Result<DevicePhaseResult, TracerError>;
 
-    /// Lines at candidates, and the flood from what they find. Counts of an item: rays, finds, rays of the
-    /// flood, finds of the flood.
+    /// Casts lines at candidates and floods from the newly found triangles.
+    ///
+    /// The counts of an item are the rays, the newly found triangles, the rays of the flood, and the
+    /// triangles found by the flood.
     ///
     /// # Errors
-    /// As [`Rounds::restart`].
+    /// The errors of [`Rounds::restart`].
     fn aim(
         &self,
         work: &[AimWork],
         plan: &AimPlan,
-        goes_on: GoesOn<'_>,
-    ) -> Result<Found, BackendError>;
+        goes_on: ContinueCheck<'_>,
+    ) -> Result<DevicePhaseResult, TracerError>;
 
-    /// The seeds of the whole scene.
+    /// Casts the seeds of the whole scene.
     ///
     /// # Errors
-    /// As [`Rounds::restart`].
-    fn seeds(&self, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+    /// The errors of [`Rounds::restart`].
+    fn seeds(&self, goes_on: ContinueCheck<'_>) -> Result<DevicePhaseResult, TracerError>;
 
-    /// Held-out lines: for each item a cell and a number of lines, for test number `look`. Counts of an item:
-    /// lines that met a triangle outside the cell's set, lines that cross a cell which is no pair with it.
+    /// Casts held-out lines for look number `look`. Each item is a cell and a number of lines.
+    ///
+    /// The counts of an item are the lines that met a triangle outside the cell's set, and the lines that
+    /// cross a cell that is not a pair with the cell.
     ///
     /// # Errors
-    /// As [`Rounds::restart`].
+    /// The errors of [`Rounds::restart`].
     fn check(
         &self,
         work: &[(usize, u64)],
         look: u32,
-        goes_on: GoesOn<'_>,
-    ) -> Result<Found, BackendError>;
+        goes_on: ContinueCheck<'_>,
+    ) -> Result<DevicePhaseResult, TracerError>;
 
-    /// Segments from some cells of the division, which join the cells that they cross. Counts of an item:
-    /// segments, those that reach their end, later cells at which they could be cast.
+    /// Casts segments from some cells of the division, which join the cells that they cross.
+    ///
+    /// The counts of an item are the segments, the segments that reach their end, and the later cells at
+    /// which segments could be cast.
     ///
     /// # Errors
-    /// As [`Rounds::restart`].
-    fn segments(&self, work: &SegmentWork<'_>, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+    /// The errors of [`Rounds::restart`].
+    fn segments(
+        &self,
+        work: &SegmentWork<'_>,
+        goes_on: ContinueCheck<'_>,
+    ) -> Result<DevicePhaseResult, TracerError>;
 
-    /// What went over the bus.
+    /// Returns the traffic over the bus.
     fn traffic(&self) -> Traffic;
 
-    /// The time of each kernel; empty unless the backend measures it.
+    /// Returns the time of each kernel. The list is empty unless the backend measures the times.
     fn kernel_times(&self) -> Vec<KernelTime>;
 }

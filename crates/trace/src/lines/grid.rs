@@ -1,4 +1,4 @@
-//! The cells of a block and the walk of a segment through them.
+//! The cells of a block, and the traversal of the cells along a segment.
 //!
 //! Cells are numbered in bricks of one 64-bit word: a segment that crosses a dozen cells touches three or
 //! four words, and neighbours are mostly in the same word. A brick has 4×4×4 cells, fewer along the short
@@ -7,66 +7,67 @@
 use glam::Vec3;
 use sightline_viewcells::division::ROUNDING;
 
-/// Binary logarithm of the number of cells in a brick, 64.
+/// The binary logarithm of the number of cells in a brick, 64.
 const BITS: u32 = 6;
-/// Least part of a cell's size that a segment must cross for the cell to be credited.
+/// The minimum fraction of a cell's size that a segment must cross for the cell to be credited.
 const MARGIN: f32 = 1.0 / 1024.0;
 
 /// A block of equal cells.
 #[derive(Clone, Debug)]
 pub struct CellGrid {
     cells: [u32; 3],
-    /// Binary logarithms of a brick's sides.
+    /// The binary logarithms of a brick's sides.
     side: [u32; 3],
     bricks: [u32; 3],
-    /// By axis, a mask of the first cells of a brick along the axis.
+    /// The mask of the first cells of a brick along an axis, by axis.
     first: [u64; 3],
-    /// By axis and coordinate, the summand of the coordinate in a cell's [`Slot::index`].
+    /// The summand of a coordinate in a cell's [`Slot::index`], by axis and coordinate.
     part: [Vec<u32>; 3],
     min: Vec3,
     max: Vec3,
     per_unit: [f32; 3],
-    /// Least part of a cell that a segment must cross, in cells.
+    /// The minimum length of a segment in a credited cell, in cells.
     margin: f32,
 }
 
-/// How the cells of a grid are numbered and scaled.
+/// The numbering and the scale of the cells of a grid.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {
-    /// Binary logarithms of a brick's sides.
+    /// The binary logarithms of a brick's sides.
     pub side: [u32; 3],
-    /// Bricks along each axis.
+    /// The number of bricks along each axis.
     pub bricks: [u32; 3],
-    /// By axis, a mask of the first cells of a brick along the axis.
+    /// The mask of the first cells of a brick along an axis, by axis.
     pub first: [u64; 3],
-    /// Cells per scene unit.
+    /// The number of cells per scene unit.
     pub per_unit: [f32; 3],
 }
 
 /// The place of a cell's bit in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
-    /// Word of the row.
+    /// The index of the word in the row.
     pub word: u32,
-    /// Bit of the word.
+    /// The number of the bit in the word.
     pub bit: u32,
 }
 
 impl Slot {
-    /// Its index among all bits of a row.
+    /// Returns the index of the bit among all bits of a row.
     pub fn index(self) -> usize {
         self.word as usize * 64 + self.bit as usize
     }
 }
 
-/// The cells a segment crosses: words and the bits in them.
+/// The cells that a segment crosses: words and the bits in them.
 pub type Crossed = Vec<(u32, u64)>;
 
 impl CellGrid {
-    /// A block of `cells` cells a side between two corners.
+    /// Creates a block with `cells` cells along each axis between two corners.
     pub fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
         let per_unit = [0, 1, 2].map(|a| cells[a] as f32 / (max[a] - min[a]));
-        // Where coordinates are few, rounding moves the ends of a segment by more than that part of a cell.
+        // If coordinates are coarse, rounding moves the ends of a segment by more than this fraction of a
+        // cell.
         let largest = min.abs().max(max.abs()).max_element();
         let finest = per_unit.into_iter().fold(0.0, f32::max);
         let margin = MARGIN.max(largest * f32::EPSILON * ROUNDING * finest);
@@ -103,17 +104,17 @@ impl CellGrid {
         grid
     }
 
-    /// Cells along each axis.
+    /// Returns the number of cells along each axis.
     pub fn cells(&self) -> [u32; 3] {
         self.cells
     }
 
-    /// Least part of a cell that a segment must cross to be credited, in cells.
+    /// Returns the minimum length of a segment in a credited cell, in cells.
     pub fn margin(&self) -> f32 {
         self.margin
     }
 
-    /// How its cells are numbered and scaled, for whoever walks through it elsewhere.
+    /// Returns the numbering and the scale of the cells, for traversals outside this type.
     pub fn shape(&self) -> Shape {
         Shape {
             side: self.side,
@@ -123,41 +124,41 @@ impl CellGrid {
         }
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn count(&self) -> usize {
         self.cells.iter().map(|c| *c as usize).product()
     }
 
-    /// Number of words of a row.
+    /// Returns the number of words of a row.
     pub fn words(&self) -> usize {
         self.bricks.iter().map(|c| *c as usize).product()
     }
 
-    /// Corners of the block.
+    /// Returns the minimum and maximum corners of the block.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         (self.min, self.max)
     }
 
-    /// The cells, x fastest, then y, then z.
+    /// Returns the cells in order, x fastest, then y, then z.
     pub fn each(&self) -> impl Iterator<Item = [u32; 3]> + use<> {
         let [nx, ny, nz] = self.cells;
         (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
     }
 
-    /// Least corner and size of a cell.
+    /// Returns the minimum corner and the size of a cell.
     pub fn cell_box(&self, c: [u32; 3]) -> (Vec3, Vec3) {
         let vec = |c: [u32; 3]| Vec3::from(c.map(|x| x as f32));
         let size = (self.max - self.min) / vec(self.cells);
         (self.min + size * vec(c), size)
     }
 
-    /// The cell of a point within the bounds.
+    /// Returns the cell of a point within the bounds.
     pub fn cell_at(&self, point: Vec3) -> [u32; 3] {
         let at = (point - self.min).to_array();
         [0, 1, 2].map(|a| ((at[a] * self.per_unit[a]) as u32).min(self.cells[a] - 1))
     }
 
-    /// Where a cell's bit is.
+    /// Returns the place of a cell's bit.
     pub fn slot(&self, c: [u32; 3]) -> Slot {
         let ([sx, sy, sz], [bx, by, _]) = (self.side, self.bricks);
         let [x, y, z] = c;
@@ -168,14 +169,15 @@ impl CellGrid {
         }
     }
 
-    /// Whether the cell is one of the block's.
+    /// Returns true if the block contains a cell with these coordinates.
     pub fn has(&self, c: [u32; 3]) -> bool {
         (0..3).all(|a| c[a] < self.cells[a])
     }
 
-    /// The cells crossed by the part of the line through `origin` along `direction` between the distances
-    /// `t0` and `t1` (Amanatides and Woo 1987), in order. Distances are in lengths of `direction` and may be
-    /// infinite.
+    /// Finds the cells that a segment crosses, in order (Amanatides and Woo 1987).
+    ///
+    /// The segment is the part of the line through `origin` along `direction` between the distances `t0` and
+    /// `t1`. Distances are in lengths of `direction` and may be infinite.
     pub fn walk(
         &self,
         origin: [f32; 3],
@@ -201,7 +203,7 @@ impl CellGrid {
                 t1 = t1.min(u.max(v));
             }
         }
-        // Nothing is credited when a coordinate is not a number.
+        // If a coordinate is NaN, no cell is credited.
         if t0.partial_cmp(&t1) != Some(std::cmp::Ordering::Less) {
             return;
         }
@@ -217,10 +219,10 @@ impl CellGrid {
                 next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
-        // Comparisons with NaN are false; NaN arises when a direction is almost parallel to a plane and
-        // begins on it. Some axis is taken then, and the loop still ends where the line leaves the block.
+        // Comparisons with NaN are false. NaN arises if a direction is almost parallel to a plane and begins
+        // on it. The loop then advances along some axis, and still ends where the line leaves the block.
         //
-        // All state is in registers. The choice of the next axis is unpredictable, so it has no branch.
+        // All state is in registers. The next axis is unpredictable, so its selection has no branch.
         let ([mut nx, mut ny, mut nz], [dx, dy, dz]) = (next, delta);
         let ([mut cx, mut cy, mut cz], [sx, sy, sz]) = (cell, step);
         let [px, py, pz] = &self.part;
@@ -262,8 +264,8 @@ impl CellGrid {
         }
     }
 
-    /// Word `at` of the union of the cells in `row` and their face neighbours; bits outside the block may be
-    /// set too.
+    /// Returns word `at` of the union of the cells in `row` and their face neighbours. Bits outside the block
+    /// may also be set.
     pub fn dilated(&self, row: &[u64], at: usize) -> u64 {
         let [bx, by, bz] = self.bricks.map(|b| b as usize);
         let step = [1, bx, bx * by];
@@ -276,7 +278,7 @@ impl CellGrid {
         for (a, place) in places.into_iter().enumerate() {
             let first = self.first[a];
             let near_by = 1u32 << apart;
-            // From a brick's last layer to the first of the next.
+            // From the last layer of a brick to the first layer of the next brick.
             let across = near_by * ((1 << self.side[a]) - 1);
             // The neighbours of a brick with one layer are all in other bricks.
             near |= m.checked_shl(near_by).unwrap_or(0) & !first;
@@ -293,8 +295,8 @@ impl CellGrid {
     }
 }
 
-/// Binary logarithms of the brick sides that cover a block with the fewest words; among these, the sides that
-/// differ least.
+/// Returns the binary logarithms of the brick sides that cover a block with the fewest words. Among these,
+/// the sides that differ least are selected.
 fn brick(cells: [u32; 3]) -> [u32; 3] {
     let all = (0..=BITS).flat_map(|x| (0..=BITS - x).map(move |y| [x, y, BITS - x - y]));
     let words = |side: &[u32; 3]| -> u64 {
@@ -317,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn dilation_reaches_the_six_neighbours_and_no_other_cell() {
+    fn dilation_reaches_exactly_the_six_neighbours() {
         for g in [
             [9, 5, 6],
             [20, 1, 7],
@@ -363,8 +365,8 @@ mod tests {
         }
     }
 
-    /// The walk of Amanatides and Woo 1987 with one branch per step, which [`CellGrid::walk`] must equal bit
-    /// for bit.
+    /// Traverses cells with one branch per step (Amanatides and Woo 1987). [`CellGrid::walk`] must equal it
+    /// bit for bit.
     fn plain_walk(g: &CellGrid, o: [f32; 3], dir: [f32; 3], mut t0: f32, mut t1: f32) -> Crossed {
         let mut out = Crossed::new();
         let start: [f32; 3] = std::array::from_fn(|a| (o[a] - g.min[a]) * g.per_unit[a]);
@@ -415,11 +417,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_walk_is_the_plain_one_to_the_bit(
+        fn walk_equals_plain_walk_to_the_bit(
             cells in prop_oneof![[1u32..10, 1u32..10, 1u32..10], [1u32..30, 1u32..3, 1u32..30]],
             o in [-3f32..6.0, 0f32..7.0, -2f32..12.0],
             d in [-1f32..1.0, -1f32..1.0, -1f32..1.0],
-            // Directions along axes and diagonals, from places on planes, make ties.
+            // Directions along axes and diagonals, from places on planes, cause ties.
             coarse in any::<[bool; 2]>(),
             ends in prop_oneof![[-8f32..8.0, -8f32..8.0], Just([f32::NEG_INFINITY, f32::INFINITY])],
         ) {
@@ -433,7 +435,7 @@ mod tests {
 
         /// Compares with clipping the line to the box of every cell in double precision.
         #[test]
-        fn a_walk_credits_what_is_crossed_and_nothing_else(
+        fn walk_credits_exactly_the_crossed_cells(
             cells in prop_oneof![[1u32..10, 1u32..10, 1u32..10], [1u32..30, 1u32..3, 1u32..30]],
             o in [-3f32..6.0, 0f32..7.0, -2f32..12.0],
             d in [-1f32..1.0, -1f32..1.0, -1f32..1.0],
@@ -467,7 +469,7 @@ mod tests {
                 let inside = (b - a) * length;
                 let s = g.slot(c);
                 let credited = crossed.iter().any(|(w, bits)| *w == s.word && bits >> s.bit & 1 == 1);
-                // Between half and twice the margin either is right.
+                // Between half and twice the margin both results are correct.
                 if inside > 2.0 / 1024.0 { prop_assert!(credited, "{c:?} {inside}"); }
                 if inside < 0.5 / 1024.0 { prop_assert!(!credited, "{c:?} {inside}"); }
             }

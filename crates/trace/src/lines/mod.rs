@@ -1,5 +1,7 @@
-//! Blocks of view cells that share sight lines: the grid of the cells, the table of the triangles seen from
-//! each, and the interface of devices that cast whole rounds of lines.
+//! Blocks of view cells that share sight lines.
+//!
+//! The modules contain the grid of the cells, the table of the triangles seen from each cell, and the
+//! interface of devices that cast whole rounds of lines.
 
 pub mod bits;
 pub mod device;

@@ -1,8 +1,8 @@
-//! Which cells see which: a free segment joins all cells it crosses, over the whole division and not only in
-//! the tile's block.
+//! The pairs of cells that see each other. A free segment joins all cells that it crosses, over the whole
+//! division and not only in the tile's block.
 //!
-//! Lines write to the table by or, in any order. Nothing reads it before all lines of a phase are traced, so
-//! the order of threads changes nothing.
+//! Lines write to the table by bitwise or, in any order. No thread reads the table before all lines of a
+//! phase are traced, so the order of threads does not affect the result.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
@@ -17,16 +17,17 @@ pub struct Pairs {
     words: usize,
     /// A row of bits for each slot of the grid.
     rows: Vec<AtomicU64>,
-    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    /// The words of a row without the cells that have no viewpoint; empty if all cells have one.
     reached: Vec<u64>,
-    /// Which parts of each cell hold viewpoints, by [`CellGrid::each`]; empty when all of all do.
+    /// The bit masks of the parts of each cell that contain viewpoints, by [`CellGrid::each`]; empty if all
+    /// parts of all cells do.
     parts: Vec<u64>,
-    /// The rows that the other members of the crew have or are given; empty when there are none.
+    /// The rows that the other members of the crew have or receive; empty if the crew has no other members.
     kept: Mutex<Vec<u64>>,
 }
 
 impl Pairs {
-    /// A table without any pair over the cells of `grid`.
+    /// Creates a table without pairs over the cells of `grid`.
     pub fn new(grid: CellGrid) -> Self {
         let words = grid.words();
         let mut rows = Vec::new();
@@ -41,8 +42,8 @@ impl Pairs {
         }
     }
 
-    /// The same, of which only some cells have viewpoints, or only in some parts: `parts` gives those of a
-    /// cell by its place in [`CellGrid::each`].
+    /// Restricts the table to the parts of cells that contain viewpoints. `parts` returns the parts of a cell
+    /// as a bit mask, by the cell's index in [`CellGrid::each`]; 0 excludes the cell.
     #[must_use]
     pub fn reached_in(mut self, parts: impl Fn(usize) -> u64) -> Self {
         self.parts = (0..self.grid.count()).map(parts).collect();
@@ -60,28 +61,30 @@ impl Pairs {
         self
     }
 
-    /// Which parts of a cell hold viewpoints, by its place in [`CellGrid::each`].
+    /// Returns the parts of a cell that contain viewpoints as a bit mask, by the cell's index in
+    /// [`CellGrid::each`].
     pub fn parts(&self, cell: usize) -> u64 {
         self.parts.get(cell).copied().unwrap_or(u64::MAX)
     }
 
-    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    /// Returns the words of a row without the cells that have no viewpoint. The list is empty if all cells
+    /// have one.
     pub fn reached(&self) -> &[u64] {
         &self.reached
     }
 
-    /// Number of words of the table.
+    /// Returns the number of words of the table.
     pub fn places(&self) -> usize {
         self.rows.len()
     }
 
-    /// Joins the cells of the bits of a word, by its place.
+    /// Joins the cells of the bits of a word, by its index.
     pub fn add(&self, at: usize, bits: u64) {
         self.rows[at].fetch_or(bits, Relaxed);
     }
 
-    /// Calls `each` with the place and the bits of every word that is new since [`Self::keep`], by ascending
-    /// place.
+    /// Calls `each` with the index and the bits of every word that is new since [`Self::keep`], by ascending
+    /// index.
     pub fn each_new(&self, mut each: impl FnMut(usize, u64)) {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         for (at, word) in self.rows.iter().enumerate() {
@@ -92,12 +95,12 @@ impl Pairs {
         }
     }
 
-    /// Notes the pairs that are here now as known to all members of the crew, or given to them.
+    /// Records the current pairs as known to all members of the crew, or sent to them.
     pub fn keep(&self) {
         *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = self.copy();
     }
 
-    /// The grid of the whole division.
+    /// Returns the grid of the whole division.
     pub fn grid(&self) -> &CellGrid {
         &self.grid
     }
@@ -120,24 +123,26 @@ impl Pairs {
         }
     }
 
-    /// As [`Self::join`] for the part of a line between two distances; `crossed` is scratch memory.
+    /// Joins all cells that a line crosses between two distances. `crossed` is scratch memory.
     pub fn join_line(&self, line: ([f32; 3], [f32; 3]), from: f32, to: f32, crossed: &mut Crossed) {
         self.grid.walk(line.0, line.1, from, to, crossed);
         self.join(crossed);
     }
 
-    /// The row of the cell at `slot` in a copy of the table.
+    /// Returns the row of the cell at `slot` in a copy of the table.
     pub fn row_of<'b>(&self, copy: &'b [u64], slot: Slot) -> &'b [u64] {
         &copy[slot.index() * self.words..][..self.words]
     }
 
-    /// A copy of the table, to be read while lines write to it.
+    /// Returns a copy of the table, which can be read while lines write to the table.
     pub fn copy(&self) -> Vec<u64> {
         self.rows.iter().map(|w| w.load(Relaxed)).collect()
     }
 
-    /// Whether a segment that crosses `crossed` joins the cell at `slot` with a cell that is no pair with
-    /// it in `copy`.
+    /// Returns true if a segment joins the cell at `slot` with a new cell.
+    ///
+    /// A new cell is not a pair with the cell at `slot` in `copy`. `crossed` are the cells that the segment
+    /// crosses.
     pub fn is_new(&self, copy: &[u64], slot: Slot, crossed: &[(u32, u64)]) -> bool {
         let row = self.row_of(copy, slot);
         crossed
@@ -145,8 +150,8 @@ impl Pairs {
             .any(|(at, bits)| bits & !row[*at as usize] != 0)
     }
 
-    /// The pairs of cells by their index, x fastest. Every cell is a pair with itself. `counts` says which
-    /// cells do; pairs of two others are left out.
+    /// Returns the pairs of cells by their index, x fastest. Every cell is a pair with itself. Pairs of two
+    /// cells for which `counts` returns false are omitted.
     pub fn table(&self, counts: impl Fn(u32) -> bool) -> PairTable {
         let mut table = PairTable::empty(self.grid.count() as u32);
         let slots: Vec<usize> = self

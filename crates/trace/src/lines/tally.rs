@@ -1,36 +1,36 @@
-//! The tries at the candidates of a cell in a round, by the decade of their part of the sphere.
+//! The attempts at the candidates of a cell in a round, by the decade of their fraction of the sphere.
 //!
 //! The sums are integers, so they do not depend on the order of the items.
 
-/// Number of decades; smaller candidates are in the last.
+/// The number of decades. Smaller candidates are in the last decade.
 pub const DECADES: usize = 8;
-/// A part of the sphere in the middle of each.
+/// A fraction of the sphere in the middle of each decade.
 pub const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
-/// Gains are counted in this part of [`PARTS`].
+/// The unit of counted gains, as a fraction of [`PARTS`].
 pub const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
-/// Attempts are counted in this part of one.
+/// The unit of counted attempts.
 pub const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
-/// The tries at candidates of a decade.
+/// The attempts at candidates of a decade.
 #[derive(Clone, Copy, Default)]
 pub struct Counts {
-    /// The number of tries.
+    /// The number of attempts.
     pub tries: u64,
-    /// Their expected gain in seen parts of the sphere, in [`GAIN_UNIT`].
+    /// The expected gain of the attempts in seen fractions of the sphere, in [`GAIN_UNIT`].
     pub gain: u64,
-    /// Sum over the tries of the attempts before each, in [`ATTEMPT_UNIT`].
+    /// The sum over the attempts of the number of attempts before each, in [`ATTEMPT_UNIT`].
     pub before: u64,
 }
 
-/// The tries at the candidates of a cell in a round.
+/// The attempts at the candidates of a cell in a round.
 #[derive(Clone, Default)]
 pub struct Tally(pub [Counts; DECADES]);
 
 impl Tally {
-    /// Number of [`Self::numbers`].
+    /// The number of values of [`Self::numbers`].
     pub const NUMBERS: usize = 3 * DECADES;
 
-    /// Creates the tally from counts of a device: for each decade the tries, the gains in parts of the
-    /// decade's middle and of `gain_unit`, and the attempts before in 256ths.
+    /// Creates the tally from counts of a device. Each decade has the attempts, the gains as fractions of the
+    /// decade's middle in units of `gain_unit`, and the earlier attempts in 256ths.
     pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
         // Both units are powers of two, so the number is exact while it fits.
         let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);

@@ -1,4 +1,4 @@
-{{/* Names, labels, and what all pods have in common. */}}
+{{/* Names, labels, and the common parts of all pods. */}}
 
 {{- define "sightline.name" -}}
 {{- default .Release.Name .Values.nameOverride | trunc 40 | trimSuffix "-" -}}
@@ -12,7 +12,7 @@
 {{- end -}}
 {{- end -}}
 
-{{/* What a selector may name: never changes for an installed release. Takes (list root component). */}}
+{{/* The labels of selectors. They must not change for an installed release. Argument: (list root component) */}}
 {{- define "sightline.selector" -}}
 app.kubernetes.io/name: sightline
 app.kubernetes.io/instance: {{ (index . 0).Release.Name }}
@@ -26,7 +26,7 @@ app.kubernetes.io/managed-by: {{ (index . 0).Release.Service }}
 helm.sh/chart: {{ printf "%s-%s" (index . 0).Chart.Name (index . 0).Chart.Version }}
 {{- end -}}
 
-{{/* The Pod Security Standard `restricted`. 10001 is the user of the image. */}}
+{{/* The settings of the Pod Security Standard `restricted`. 10001 is the user of the image. */}}
 {{- define "sightline.podSecurity" -}}
 automountServiceAccountToken: false
 enableServiceLinks: false
@@ -54,7 +54,7 @@ securityContext:
     drop: [ALL]
 {{- end -}}
 
-{{/* Where a pod is placed. Takes its values. */}}
+{{/* The placement of a pod. Argument: the values of the coordinator or of a kind of workers. */}}
 {{- define "sightline.placement" -}}
 {{- with .nodeSelector }}
 nodeSelector:
@@ -74,7 +74,7 @@ affinity:
 {{- ternary "https" "http" .Values.tls.enabled -}}
 {{- end -}}
 
-{{/* Whether objects are in an S3 store, which workers then reach as well. */}}
+{{/* "yes" if an S3 store contains the blobs, so that workers need access to the store; otherwise empty. */}}
 {{- define "sightline.s3" -}}
 {{- if and (eq .Values.store.kind "postgres") (hasPrefix "s3://" .Values.store.blobs.url) }}yes{{ end -}}
 {{- end -}}

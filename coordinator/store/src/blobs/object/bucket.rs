@@ -1,5 +1,5 @@
-//! A bucket: objects in and out, by calls that block, on a runtime of their own. Faults that pass are tried
-//! again with growing waits, for a while.
+//! A bucket of an object store, with blocking calls on a separate runtime. Transient faults are retried with
+//! growing waits, for a limited time.
 
 use std::io::Read;
 use std::path::Path as FilePath;
@@ -25,41 +25,42 @@ use super::http::{Http, authorities};
 use super::keys::Keys;
 use super::place::{BucketPlace, Ways};
 
-/// Blobs up to this are one request; larger ones go up in parts.
+/// Maximum length of a blob that is written in one request, in bytes. Larger blobs are uploaded in parts.
 const WHOLE: u64 = 16 << 20;
-/// Least bytes of a part.
+/// Minimum length of a part, in bytes.
 const PART: u64 = 16 << 20;
-/// Most parts of an upload. S3 takes 10 000.
+/// Maximum number of parts of an upload. The limit of S3 is 10,000.
 const PARTS: u64 = 9_000;
-/// Parts that are under way at a time.
+/// The number of parts that are sent at the same time.
 const AT_ONCE: usize = 4;
-/// Tries of a request, and for how long: a store that starts again is awaited.
+/// The maximum number and duration of retries of a request. They cover a restart of the store.
 const RETRY: (usize, Duration) = (12, Duration::from_secs(45));
-/// The same when the coordinator starts, so that whoever starts it sees what is wrong.
+/// The maximum number and duration of retries while the bucket is opened. They are low, so that the operator
+/// sees a fault soon.
 const FIRST: (usize, Duration) = (3, Duration::from_secs(5));
-/// The name of the object that is written, read and deleted at the start.
+/// The name prefix of the test object that is written, read and deleted when the bucket is opened.
 const PROBE: &str = "probe";
 
-/// A bucket and a client of it.
+/// A bucket with its client.
 pub(super) struct Bucket {
     store: AmazonS3,
-    /// Signs addresses for workers, if they may have some.
+    /// The signer of addresses for workers; `None` if workers may not have addresses.
     signer: Option<AmazonS3>,
-    /// The authorities of `ca=`, as PEM.
+    /// The certificate authorities from the option `ca=`, as PEM.
     authorities: Vec<u8>,
     name: String,
     prefix: String,
     read: AtomicU64,
     written: AtomicU64,
-    // Gone only when the bucket is dropped.
+    // The runtime is `None` only during the drop.
     runtime: Option<Runtime>,
 }
 
 impl Bucket {
-    /// Sets up a client, lists what is there, and writes, reads and deletes a small object.
+    /// Creates a client, lists the objects, and writes, reads and deletes a small object.
     ///
     /// # Errors
-    /// What is wrong with the settings, or with the store.
+    /// An error that describes the fault of the settings or of the store.
     pub(super) fn open(place: &BucketPlace) -> Result<Self, BlobError> {
         let name = place.name();
         let unusable = |reason: String| BlobError::Unusable {
@@ -75,12 +76,14 @@ impl Bucket {
             .map_err(unusable)?;
         let roots = sightline_http::roots(authorities.as_deref()).map_err(unusable)?;
         let client = Http::new(roots).map_err(unusable)?;
-        let make = |builder: &AmazonS3Builder, retry| {
+        let make = |builder: &AmazonS3Builder, retry: (usize, Duration)| {
             let builder = builder
                 .clone()
                 .with_http_connector(client.clone())
-                .with_retry(growing(retry));
-            builder.build().map_err(|e| faults::of("set up", &name, &e))
+                .with_retry(growing_retries(retry.0, retry.1));
+            builder
+                .build()
+                .map_err(|e| faults::blob_error("set up", &name, &e))
         };
         let signer = match &place.direct {
             Ways::Coordinator => None,
@@ -118,7 +121,7 @@ impl Bucket {
     }
 
     fn probe(&self) -> Result<(), BlobError> {
-        // Who may not list is told of absent objects that they are forbidden.
+        // A client without permission to list gets "forbidden" for absent objects.
         let prefix = Path::from(self.prefix.as_str());
         self.run(
             "list",
@@ -131,7 +134,8 @@ impl Bucket {
             },
             e => e,
         })?;
-        // Each process has its own, since several may start at a time, in containers with the same number.
+        // Each process uses its own name, because several may start at once, in containers with the same
+        // process id.
         let own = getrandom::u64().map_err(|e| {
             let reason = format!("no random number for a probe: {e}");
             let place = self.name.clone();
@@ -146,10 +150,7 @@ impl Bucket {
             Ok(())
         })?;
         if read != bytes {
-            let (doing, reason) = (
-                "read back what was written to",
-                "other bytes came back".to_owned(),
-            );
+            let (doing, reason) = ("read back", "with other bytes than were written".to_owned());
             return Err(BlobError::Object {
                 doing,
                 place: self.at(&key),
@@ -159,13 +160,13 @@ impl Bucket {
         self.delete(&key)
     }
 
-    /// The key of something in this place.
+    /// Returns the key of an object with this name below the prefix.
     pub(super) fn key(&self, name: &str) -> Path {
-        // Both are made of characters that a key may have.
+        // The prefix and the name contain only characters that are valid in a key.
         Path::from(format!("{}/{name}", self.prefix))
     }
 
-    /// What is at a key, for messages.
+    /// Returns the name of the object at a key, for messages.
     pub(super) fn at(&self, key: &Path) -> String {
         let bucket = self
             .name
@@ -175,7 +176,7 @@ impl Bucket {
         format!("{bucket}/{key}")
     }
 
-    /// Runs on the threads of the bucket until it is done.
+    /// Runs a future on the calling thread, inside the bucket's runtime, and blocks until its result.
     fn wait<T>(&self, future: impl Future<Output = Result<T, BlobError>>) -> Result<T, BlobError> {
         let (doing, reason) = ("reach", "the coordinator is stopping".to_owned());
         let gone = || BlobError::Unreachable {
@@ -195,11 +196,11 @@ impl Bucket {
         self.wait(async {
             future
                 .await
-                .map_err(|e| faults::of(doing, &self.at(key), &e))
+                .map_err(|e| faults::blob_error(doing, &self.at(key), &e))
         })
     }
 
-    /// The size of an object; `None` when there is none.
+    /// Returns the size of an object in bytes, or `None` if it does not exist.
     pub(super) fn len(&self, key: &Path) -> Result<Option<u64>, BlobError> {
         match self.run("look at", key, self.store.head(key)) {
             Ok(meta) => Ok(Some(meta.size)),
@@ -208,7 +209,7 @@ impl Bucket {
         }
     }
 
-    /// When an object was written, by the clock of the store; `None` when there is none.
+    /// Returns the write time of an object by the store's clock, or `None` if the object does not exist.
     pub(super) fn written(&self, key: &Path) -> Result<Option<SystemTime>, BlobError> {
         match self.run("look at", key, self.store.head(key)) {
             Ok(meta) => Ok(Some(meta.last_modified.into())),
@@ -217,8 +218,10 @@ impl Bucket {
         }
     }
 
-    /// Calls `visit` for the objects below the prefix, or a folder of it, with the key, the size and the
-    /// time when each was written. Ends when it returns false.
+    /// Calls `visit` for the objects below the prefix, or below a folder of it.
+    ///
+    /// `visit` receives the key, the size in bytes and the write time of an object. The listing ends when
+    /// `visit` returns false.
     pub(super) fn list(
         &self,
         folder: Option<&str>,
@@ -228,7 +231,7 @@ impl Bucket {
             || Path::from(self.prefix.as_str()),
             |folder| self.key(folder),
         );
-        let fault = |e: Error| faults::of("list", &self.at(&prefix), &e);
+        let fault = |e: Error| faults::blob_error("list", &self.at(&prefix), &e);
         self.wait(async {
             let mut objects = self.store.list(Some(&prefix));
             while let Some(meta) = objects.next().await {
@@ -241,13 +244,13 @@ impl Bucket {
         })
     }
 
-    /// Reads an object piece by piece. A download that breaks off goes on where it was.
+    /// Reads an object piece by piece. An interrupted download continues at its position.
     pub(super) fn get(
         &self,
         key: &Path,
         mut take: impl FnMut(&[u8]) -> Result<(), BlobError>,
     ) -> Result<(), BlobError> {
-        let fault = |e: Error| faults::of("read", &self.at(key), &e);
+        let fault = |e: Error| faults::blob_error("read", &self.at(key), &e);
         self.wait(async {
             let mut pieces = self.store.get(key).await.map_err(fault)?.into_stream();
             while let Some(piece) = pieces.next().await {
@@ -271,22 +274,23 @@ impl Bucket {
         .map(drop)
     }
 
-    /// Has the store copy an object, of at most 5 GiB, over whatever is there.
+    /// Copies an object of at most 5 GiB inside the store. Replaces an existing object.
     pub(super) fn copy(&self, from: &Path, to: &Path) -> Result<(), BlobError> {
         self.run("copy", from, self.store.copy(from, to))
     }
 
-    /// Whether workers may have addresses.
+    /// Returns true if workers may have addresses.
     pub(super) fn signs(&self) -> bool {
         self.signer.is_some()
     }
 
-    /// The authorities that are trusted beside the system's, as PEM.
+    /// Returns the certificate authorities that are trusted in addition to the system's, as PEM.
     pub(super) fn authorities(&self) -> &[u8] {
         &self.authorities
     }
 
-    /// An address for one kind of request about an object.
+    /// Returns a signed address for requests of one HTTP method for an object, which is valid for the
+    /// duration `lives`.
     pub(super) fn sign(
         &self,
         method: Method,
@@ -296,7 +300,7 @@ impl Bucket {
     ) -> Result<String, BlobError> {
         let signer = self.signer.as_ref().ok_or_else(|| BlobError::Unusable {
             place: self.name.clone(),
-            reason: "workers have no addresses here".to_owned(),
+            reason: "workers may not access this bucket directly (direct=no)".to_owned(),
         })?;
         self.run(
             "sign an address of",
@@ -306,13 +310,13 @@ impl Bucket {
         .map(String::from)
     }
 
-    /// The bytes of blobs that were read and written.
+    /// Returns the number of bytes of blobs that were read and written.
     pub(super) fn carried(&self) -> Carried {
         let [read, written] = [&self.read, &self.written].map(|n| n.load(Ordering::Relaxed));
         Carried { read, written }
     }
 
-    /// Writes an object from a file of this length. It is there as a whole or not at all.
+    /// Writes an object from a file of this length. The object appears complete or not at all.
     pub(super) fn put_file(
         &self,
         key: &Path,
@@ -341,7 +345,8 @@ impl Bucket {
             && let Err(e) = self.run("abort the upload of", key, upload.abort())
         {
             tracing::warn!(
-                "{e}; its parts take space until the bucket's rule for unfinished uploads removes them"
+                "{e}; the uploaded parts take space until the bucket's rule for unfinished \
+                 uploads removes them"
             );
         }
         done
@@ -355,7 +360,7 @@ impl Bucket {
         part: u64,
         piece: &mut dyn FnMut(u64) -> Result<Bytes, BlobError>,
     ) -> Result<(), BlobError> {
-        let fault = |e: Error| faults::of("write", &self.at(key), &e);
+        let fault = |e: Error| faults::blob_error("write", &self.at(key), &e);
         self.wait(async {
             let (mut at, mut open) = (0, JoinSet::new());
             while at < length || !open.is_empty() {
@@ -365,7 +370,7 @@ impl Bucket {
                     open.spawn(upload.put_part(piece(bytes)?.into()));
                     at += bytes;
                 } else if let Some(ended) = open.join_next().await {
-                    // Those that are still under way end with the set.
+                    // The remaining uploads are aborted when the set is dropped.
                     ended.map_err(|e| fault(e.into()))?.map_err(fault)?;
                 }
             }
@@ -373,7 +378,7 @@ impl Bucket {
         })
     }
 
-    /// Deletes an object, whether it is there or not.
+    /// Deletes an object, if it exists.
     pub(super) fn delete(&self, key: &Path) -> Result<(), BlobError> {
         match self.run("delete", key, self.store.delete(key)) {
             Err(BlobError::Missing { .. }) => Ok(()),
@@ -384,14 +389,15 @@ impl Bucket {
 
 impl Drop for Bucket {
     fn drop(&mut self) {
-        // Not by itself: that would wait, which async threads may not.
+        // The default drop of the runtime would block, which is not allowed on async threads.
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
     }
 }
 
-fn growing((max_retries, retry_timeout): (usize, Duration)) -> RetryConfig {
+/// Returns retry settings with waits that double.
+fn growing_retries(max_retries: usize, retry_timeout: Duration) -> RetryConfig {
     let (init_backoff, max_backoff) = (Duration::from_millis(100), Duration::from_secs(8));
     RetryConfig {
         backoff: BackoffConfig {
@@ -404,7 +410,7 @@ fn growing((max_retries, retry_timeout): (usize, Duration)) -> RetryConfig {
     }
 }
 
-/// The settings of the environment, and those of the place over them.
+/// Returns the client settings from the environment, overridden by the settings of `place`.
 fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
     let unusable = |reason: String| BlobError::Unusable {
         place: place.name(),
@@ -413,7 +419,7 @@ fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
     let mut builder = AmazonS3Builder::from_env()
         .with_bucket_name(&place.bucket)
         .with_checksum_algorithm(Checksum::SHA256)
-        // Not every store has requests that delete many objects; none is needed here.
+        // Some stores have no requests that delete many objects, and none is needed here.
         .with_disable_bulk_delete(true);
     if let Some(region) = &place.region {
         builder = builder.with_region(region);
@@ -432,7 +438,7 @@ fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
             builder = builder.with_token(token);
         }
     }
-    // The one for S3 alone counts where both are there.
+    // If both variables are set, the S3-specific endpoint takes precedence.
     let endpoint = [Key::S3Endpoint, Key::Endpoint]
         .iter()
         .find_map(|key| builder.get_config_value(key));
@@ -446,14 +452,16 @@ fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
         Key::ContainerCredentialsFullUri,
         Key::ContainerCredentialsRelativeUri,
     ];
-    // Amazon's own machines have roles; elsewhere nobody would answer for them.
+    // Roles exist only on Amazon's own machines; elsewhere no service provides their keys.
     if id != secret || !id && endpoint.is_some() && !roles.iter().any(has) {
         let missing = if id {
             "AWS_SECRET_ACCESS_KEY"
         } else {
             "AWS_ACCESS_KEY_ID"
         };
-        return Err(unusable(format!("there are no keys: {missing} is not set")));
+        return Err(unusable(format!(
+            "the access keys are incomplete: {missing} is not set"
+        )));
     }
     Ok(builder)
 }

@@ -1,5 +1,5 @@
-//! Checked blobs on the coordinator's disk, bounded in bytes: whichever was used the longest time ago goes
-//! first. Every blob is checked again when it is read from here. Losing any of this costs a download.
+//! A cache of checked blobs on the coordinator's disk, bounded in bytes, with least-recently-used eviction.
+//! Every read checks the blob again. A lost copy costs only a download.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,14 +13,14 @@ use super::super::api::{BlobReader, Blobs as _};
 use super::super::error::{BlobError, fault};
 use super::super::files::{FileBlobs, FileWriter};
 
-/// A bounded directory of blobs.
+/// A directory of blobs with a maximum size.
 pub(super) struct Cache {
     files: FileBlobs,
     most: u64,
     index: Mutex<Index>,
 }
 
-/// What is there, and in which order it was used.
+/// The blobs in the cache and the order of their last use.
 #[derive(Default)]
 struct Index {
     entries: BTreeMap<Digest, (u64, u64)>,
@@ -45,7 +45,7 @@ impl Index {
         self.bytes += bytes;
     }
 
-    /// Forgets what exceeds `most` bytes, the longest unused first.
+    /// Removes entries until at most `most` bytes remain, least recently used first, and returns them.
     fn shrink(&mut self, most: u64) -> Vec<Digest> {
         let mut gone = Vec::new();
         while self.bytes > most {
@@ -60,10 +60,10 @@ impl Index {
 }
 
 impl Cache {
-    /// Opens or creates the directory; of what an earlier run left there, the oldest goes first.
+    /// Opens or creates the directory. If blobs of an earlier run exceed the bound, removes the oldest.
     ///
     /// # Errors
-    /// When the directory cannot be created or listed.
+    /// An error if the directory cannot be created or listed.
     pub(super) fn open(directory: &Path, most: u64) -> Result<Self, BlobError> {
         let files = FileBlobs::open(directory)?;
         let mut found = Vec::new();
@@ -97,16 +97,16 @@ impl Cache {
     }
 
     fn index(&self) -> MutexGuard<'_, Index> {
-        // A blob too many or too few on record costs a download or some bytes of the bound.
+        // A wrong entry costs only a download or some bytes of the bound.
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The files below: for scratch files and for blobs that arrive.
+    /// Returns the underlying files, for scratch files and for blobs that arrive.
     pub(super) fn files(&self) -> &FileBlobs {
         &self.files
     }
 
-    /// A checked blob, if it is here.
+    /// Returns a checked blob if the cache contains it.
     pub(super) fn get(&self, digest: &Digest) -> Option<BlobReader> {
         if !self.index().entries.contains_key(digest) {
             return None;
@@ -119,7 +119,7 @@ impl Cache {
             Err(e) => {
                 if !matches!(e, BlobError::Missing { .. }) {
                     tracing::warn!(
-                        "{e}; that was a copy, and it is read from the object store again"
+                        "{e}; this blob was a copy, and is read from the object store again"
                     );
                 }
                 self.remove(digest);
@@ -128,11 +128,11 @@ impl Cache {
         }
     }
 
-    /// Keeps a checked blob that was written here, and opens it. One that is larger than the bound is only
-    /// opened.
+    /// Stores a checked blob that was written to an unfinished file of the cache, and opens it. A blob larger
+    /// than the bound is only opened.
     ///
     /// # Errors
-    /// When the file cannot be opened or put in place.
+    /// An error if the file cannot be opened or moved into place.
     pub(super) fn keep(
         &self,
         writer: FileWriter,
@@ -148,7 +148,7 @@ impl Cache {
         Ok(file)
     }
 
-    /// Drops a blob.
+    /// Removes a blob.
     pub(super) fn remove(&self, digest: &Digest) {
         self.index().forget(digest);
         self.delete(digest);
@@ -161,7 +161,7 @@ impl Cache {
 
     fn delete(&self, digest: &Digest) {
         if let Err(e) = self.files.remove(digest) {
-            tracing::warn!("{e}; it takes space until then");
+            tracing::warn!("{e}; the copy takes space until it can be removed");
         }
     }
 }
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_unused_goes_first_and_damage_is_no_hit() {
+    fn cache_evicts_least_recently_used_and_misses_damaged_blobs() {
         let directory = tempfile::tempdir().unwrap();
         let cache = Cache::open(directory.path(), 100).unwrap();
         let [a, b] = [put(&cache, &[1; 40]), put(&cache, &[2; 40])];
@@ -213,7 +213,7 @@ mod tests {
         );
         std::fs::write(cache.files().path(&a), [7; 40]).unwrap();
         assert!(cache.get(&a).is_none() && !cache.files().path(&a).exists());
-        // What is there counts at the next start; of what is too much, something goes.
+        // The next start counts existing blobs, and removes one if they exceed the bound.
         put(&cache, &[5; 40]);
         drop(cache);
         let cache = Cache::open(directory.path(), 50).unwrap();

@@ -1,4 +1,5 @@
-//! Addresses of a bucket for workers, and the objects that they write: below `staged/` of the prefix.
+//! Signed addresses of a bucket for workers, and the objects that workers write below `staged/` of the
+//! prefix.
 
 use std::time::{Duration, SystemTime};
 
@@ -13,10 +14,10 @@ use super::super::direct::{Address, Direct, Staged};
 use super::super::error::BlobError;
 use super::ObjectBlobs;
 
-/// How long an address is accepted: until a worker has begun its request, which then goes on. Clocks of
-/// machines may differ by some minutes.
+/// The validity of an address. A worker must begin its request in this time; the request may last longer. The
+/// clocks of machines may differ by some minutes.
 const LIVES: Duration = Duration::from_secs(600);
-/// Where workers write.
+/// The folder of the objects that workers write.
 const STAGED: &str = "staged";
 
 impl ObjectBlobs {
@@ -57,7 +58,7 @@ impl Direct for ObjectBlobs {
     }
 
     fn writing(&self, staged: &Staged) -> Result<Address, BlobError> {
-        // No other bytes than those of this checksum; a length cannot be signed.
+        // The signed checksum admits only these bytes; a length cannot be signed.
         let checksum = ("x-amz-checksum-sha256", STANDARD.encode(staged.sha256));
         self.sign(Method::PUT, &self.staged(staged), &[checksum])
     }
@@ -69,7 +70,7 @@ impl Direct for ObjectBlobs {
         };
         let mut bytes = Vec::new();
         self.0.bucket.get(&key, |piece| {
-            // Memory grows with what comes, and ends with what was announced.
+            // Memory grows with the received bytes, and is limited by the announced length.
             if (bytes.len() + piece.len()) as u64 > staged.bytes {
                 return Err(damaged());
             }
@@ -84,8 +85,9 @@ impl Direct for ObjectBlobs {
     }
 
     fn adopt(&self, staged: &Staged, digest: &Digest, bytes: &[u8]) -> Result<(), BlobError> {
-        // The address was good for bytes of one SHA-256 alone, so what is copied is what was read, where the
-        // store checks that; elsewhere the digest of the blob tells when it is read.
+        // If the store verifies checksums, the address admitted only bytes with this SHA-256, so the copied
+        // bytes are the bytes that were read. Otherwise, the digest of the blob detects a difference at the
+        // next read.
         self.0
             .bucket
             .copy(&self.staged(staged), &self.key(digest))?;
@@ -94,7 +96,7 @@ impl Direct for ObjectBlobs {
             self.0.cache.keep(writer, *digest, bytes.len() as u64)
         });
         if let Err(e) = kept {
-            tracing::warn!("{e}; the blob is in the object store, and no copy of it here");
+            tracing::warn!("{e}; the blob is in the object store, but the cache has no copy");
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! What an address of a bucket is good for, and what it is not good for, against a real server.
+//! Tests of the requests that a bucket's signed address permits and rejects, against a real server.
 
 use std::time::{Duration, SystemTime};
 
@@ -12,7 +12,7 @@ use super::super::{BlobError, Blobs as _};
 use super::ObjectBlobs;
 use super::tests::Served;
 
-/// Makes a request as a worker does; gives the status and the body of the answer.
+/// Makes a request as a worker does. Returns the status and the body of the answer.
 fn request(method: &str, url: &str, headers: &[(&str, String)], body: &[u8]) -> (u32, Vec<u8>) {
     let (host, path) = url
         .strip_prefix("http://")
@@ -60,14 +60,14 @@ fn direct(blobs: &ObjectBlobs) -> &dyn Direct {
 }
 
 #[test]
-fn a_bucket_gives_addresses_only_where_it_is_told_to() {
+fn bucket_signs_addresses_only_if_configured() {
     let served = Served::new();
     assert!(served.open(0).direct().is_none());
     assert!(served.open_direct(0, "yes").direct().is_some());
 }
 
 #[test]
-fn an_address_reads_one_blob_whole_or_from_a_byte_on() {
+fn address_reads_only_its_blob() {
     let served = Served::new();
     let blobs = served.open_direct(0, "yes");
     let [walls, doors] =
@@ -82,7 +82,7 @@ fn an_address_reads_one_blob_whole_or_from_a_byte_on() {
         request("GET", &address.url, &from, &[]),
         (206, b"floors".to_vec())
     );
-    // It is good for nothing else.
+    // The address permits no other request.
     let [one, other] = [walls, doors].map(|digest| sightline_records::ids::hex(&digest));
     let other = address.url.replace(
         &format!("{}/{one}", &one[..2]),
@@ -98,12 +98,12 @@ fn an_address_reads_one_blob_whole_or_from_a_byte_on() {
         );
     }
     assert_eq!(blobs.read(&walls).unwrap(), b"walls and floors");
-    // Nor does it say more than it has to.
+    // The address does not contain the secret, and its debug output does not contain the URL.
     assert!(!address.url.contains(SECRET) && !format!("{address:?}").contains("http"));
 }
 
 #[test]
-fn an_address_is_over_after_its_time() {
+fn address_expires() {
     let served = Served::new();
     let blobs = served.open_direct(0, "yes");
     let key = blobs.key(&blobs.put(b"walls").unwrap());
@@ -119,7 +119,7 @@ fn an_address_is_over_after_its_time() {
 }
 
 #[test]
-fn an_address_is_for_another_host_where_workers_use_one() {
+fn address_uses_host_configured_for_workers() {
     let served = Served::new();
     let blobs = served.open_direct(0, "https://public.example:9000");
     let address = direct(&blobs)
@@ -139,7 +139,7 @@ fn an_address_is_for_another_host_where_workers_use_one() {
 }
 
 #[test]
-fn an_output_is_written_beside_the_blobs_and_becomes_one() {
+fn adopted_output_becomes_blob() {
     let served = Served::new();
     let blobs = served.open_direct(0, "yes");
     let bytes = b"cells and sets";
@@ -149,12 +149,12 @@ fn an_output_is_written_beside_the_blobs_and_becomes_one() {
         direct(&blobs).read_staged(&staged),
         Err(BlobError::Missing { .. })
     ));
-    // For these bytes alone, with the header that says so.
+    // The address permits only these bytes, with the checksum header.
     for other in [&b"cells and gets"[..], b"cells", b"cells and sets and more"] {
         assert!((400..500).contains(&put(&address, other)), "{other:?}");
     }
     assert!((400..500).contains(&request("PUT", &address.url, &[], bytes).0));
-    // Amazon's store keeps nothing of that. This one does: hence whatever it has is checked.
+    // Amazon's store discards the rejected bytes. This server stores them, so the coordinator always checks.
     assert_ne!(
         direct(&blobs).read_staged(&staged).ok().as_deref(),
         Some(&bytes[..])
@@ -166,7 +166,7 @@ fn an_output_is_written_beside_the_blobs_and_becomes_one() {
         "it counts only when it was checked"
     );
     assert_eq!(direct(&blobs).read_staged(&staged).unwrap(), bytes);
-    // Never more than was announced.
+    // The read never returns more bytes than were announced.
     let shorter = Staged { bytes: 5, ..staged };
     assert!(matches!(
         direct(&blobs).read_staged(&shorter),
@@ -186,7 +186,7 @@ fn an_output_is_written_beside_the_blobs_and_becomes_one() {
 }
 
 #[test]
-fn what_is_not_committed_is_swept() {
+fn sweep_removes_uncommitted_outputs() {
     let served = Served::new();
     let blobs = served.open_direct(0, "yes");
     let blob = blobs.put(b"walls").unwrap();

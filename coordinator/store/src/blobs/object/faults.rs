@@ -1,5 +1,5 @@
-//! Errors of the object store as errors of blobs: what was done where, and what to do now. Of a store's
-//! answer they have its code alone, for the rest may have what was signed and by which key.
+//! Conversion of object store errors into blob errors, with the operation, the object and a remedy. Only the
+//! error code of the store's answer is kept, because the rest may contain the signed text and the key id.
 
 use std::error::Error as StdError;
 
@@ -8,8 +8,8 @@ use object_store::client::{HttpError, HttpErrorKind};
 
 use super::super::error::BlobError;
 
-/// The error for `e`, met while `doing` something to what is at `place`.
-pub(super) fn of(doing: &'static str, place: &str, e: &Error) -> BlobError {
+/// Returns the blob error for `e`, which occurred during an operation (`doing`) on the object at `place`.
+pub(super) fn blob_error(doing: &'static str, place: &str, e: &Error) -> BlobError {
     let (doing, place) = (doing, place.to_owned());
     let text = e.to_string();
     let code = between(&text, "<Code>", "</Code>");
@@ -42,7 +42,7 @@ pub(super) fn of(doing: &'static str, place: &str, e: &Error) -> BlobError {
                 place,
                 reason,
             },
-            // The store's own troubles pass.
+            // Internal faults of the store are transient.
             (None, code, Some(status @ ("429" | "500" | "502" | "503" | "504"))) => {
                 let reason = code.map_or_else(|| format!("status {status}"), str::to_owned);
                 BlobError::Unreachable {
@@ -64,18 +64,18 @@ pub(super) fn of(doing: &'static str, place: &str, e: &Error) -> BlobError {
             (None, None, None) => BlobError::Object {
                 doing,
                 place,
-                reason: "no answer of S3".to_owned(),
+                reason: "without an S3 error code".to_owned(),
             },
         },
         (_, code) => BlobError::Object {
             doing,
             place,
-            reason: code.unwrap_or("no answer of S3").to_owned(),
+            reason: code.unwrap_or("without an S3 error code").to_owned(),
         },
     }
 }
 
-/// What kept a request from being answered: the innermost error, which has no address.
+/// Returns the reason why a request got no answer: the innermost error, which contains no address.
 fn http(e: &Error) -> Option<String> {
     let mut source: Option<&(dyn StdError + 'static)> = e.source();
     while let Some(e) = source {
@@ -84,26 +84,26 @@ fn http(e: &Error) -> Option<String> {
             while let Some(deeper) = inner.source() {
                 inner = deeper;
             }
-            let during = match http.kind() {
+            let stage = match http.kind() {
                 HttpErrorKind::Connect => "no connection",
-                HttpErrorKind::Timeout => "too late",
+                HttpErrorKind::Timeout => "no answer in time",
                 _ => "the connection broke",
             };
-            return Some(format!("{during}: {inner}"));
+            return Some(format!("{stage}: {inner}"));
         }
         source = e.source();
     }
     None
 }
 
-/// The status in the text of an error, as object_store writes it.
+/// Returns the status from the text of an error, as object_store formats it.
 fn status(text: &str) -> Option<&str> {
     let (_, rest) = text.split_once("status code: ")?;
     rest.get(..3)
         .filter(|status| status.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// A code of S3 between two marks.
+/// Returns the S3 error code between two tags of an answer.
 fn between<'a>(text: &'a str, from: &str, to: &str) -> Option<&'a str> {
     let code = text.split_once(from)?.1.split_once(to)?.0;
     (code.len() <= 64 && code.bytes().all(|b| b.is_ascii_alphanumeric())).then_some(code)
@@ -121,16 +121,16 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_gives_its_code_and_nothing_else() {
+    fn error_contains_only_code_of_answer() {
         let body = "Server returned non-2xx status code: 400 Bad Request: <Error><Code>KeyTooLong</Code>\
                     <StringToSign>hush</StringToSign></Error>";
-        let e = of("write", "s3://farm", &generic(body));
+        let e = blob_error("write", "s3://farm", &generic(body));
         assert!(
             matches!(&e, BlobError::Object { reason, .. } if reason == "KeyTooLong"),
             "{e}"
         );
         assert!(!format!("{e} {e:?}").contains("hush"));
-        let e = of(
+        let e = blob_error(
             "write",
             "s3://farm",
             &generic("status code: 503 Service Unavailable: hush"),
@@ -139,13 +139,13 @@ mod tests {
             matches!(&e, BlobError::Unreachable { reason, .. } if reason == "status 503"),
             "{e}"
         );
-        let e = of(
+        let e = blob_error(
             "write",
             "s3://farm",
             &generic("<Code>InvalidAccessKeyId</Code>"),
         );
         assert!(matches!(e, BlobError::Refused { .. }), "{e}");
-        let e = of(
+        let e = blob_error(
             "write",
             "s3://farm",
             &generic("<Code>not a code: hush</Code>"),

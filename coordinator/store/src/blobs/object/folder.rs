@@ -1,4 +1,4 @@
-//! Named objects below a prefix of a bucket, without a store.
+//! Named objects below a prefix of a bucket, without a blob store.
 
 use bytes::Bytes;
 
@@ -6,14 +6,14 @@ use super::bucket::Bucket;
 use super::place::BucketPlace;
 use crate::blobs::error::BlobError;
 
-/// Objects below a prefix, by name. Each appears complete.
+/// Objects below a prefix, by name. Each object appears complete.
 pub struct ObjectFolder(Bucket);
 
 impl ObjectFolder {
-    /// Reaches the bucket: writes, reads and deletes one small object.
+    /// Opens the bucket: writes, reads and deletes one small object.
     ///
     /// # Errors
-    /// [`BlobError`] for settings or a store that cannot be used.
+    /// A [`BlobError`] if the settings or the store are unusable.
     pub fn open(place: &BucketPlace) -> Result<Self, BlobError> {
         Bucket::open(place).map(Self)
     }
@@ -23,10 +23,10 @@ impl ObjectFolder {
         self.0.at(&self.0.key(object))
     }
 
-    /// Reads an object; `None` when it is absent.
+    /// Reads an object, or returns `None` if it does not exist.
     ///
     /// # Errors
-    /// [`BlobError`].
+    /// A [`BlobError`] if the store does not answer or rejects the request.
     pub fn read(&self, object: &str) -> Result<Option<Vec<u8>>, BlobError> {
         let mut bytes = Vec::new();
         let read = self.0.get(&self.0.key(object), |piece| {
@@ -43,17 +43,17 @@ impl ObjectFolder {
     /// Returns true if an object exists.
     ///
     /// # Errors
-    /// [`BlobError`].
+    /// A [`BlobError`] if the store does not answer or rejects the request.
     pub fn has(&self, object: &str) -> Result<bool, BlobError> {
         self.0
             .len(&self.0.key(object))
             .map(|length| length.is_some())
     }
 
-    /// Writes an object, which replaces an earlier one.
+    /// Writes an object, and replaces an earlier one.
     ///
     /// # Errors
-    /// [`BlobError`].
+    /// A [`BlobError`] if the store does not answer or rejects the request.
     pub fn write(&self, object: &str, bytes: Vec<u8>) -> Result<(), BlobError> {
         self.0.put(&self.0.key(object), Bytes::from(bytes))
     }

@@ -1,5 +1,5 @@
-//! The crate object_store on our own client of HTTP. It would bring another one, and another provider of
-//! cryptography.
+//! An adapter that runs the crate object_store on the project's own HTTP client. The default client of
+//! object_store would add another HTTP implementation and another cryptography provider.
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,28 +9,29 @@ use object_store::client::{
     HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpRequestBody,
     HttpResponse, HttpResponseBody, HttpService,
 };
-use sightline_http::{Answer, Client, During, Fault, RootCertStore};
+use sightline_http::{Client, RequestError, RequestStage, ResponseBody, RootCertStore};
 
-/// How long a connection may take.
+/// Timeout for making a connection.
 const CONNECT: Duration = Duration::from_secs(5);
-/// How long the answer to a request may take, and its body with it: a part of an upload is 16 MiB or, of the
-/// largest blobs, some hundred.
+/// Timeout for the answer to a request including its body. A part of an upload has 16 MiB, or a few hundred
+/// MiB for the largest blobs.
 const ANSWER: Duration = Duration::from_secs(120);
-/// Most bytes of a file of authorities: each worker is sent it.
+/// Maximum length of a file of certificate authorities, in bytes. The coordinator sends the file to each
+/// worker.
 const MOST_CA: u64 = 256 << 10;
 
-/// Makes connections. Clones share them.
+/// A factory of connections. Clones share the connections.
 #[derive(Clone, Debug)]
 pub(super) struct Http(Client<HttpRequestBody>);
 
-/// The authorities in a file, as PEM text.
+/// Reads the certificate authorities in a file and returns them as PEM text.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// A description of the file's fault.
 pub(super) fn authorities(path: &Path) -> Result<Vec<u8>, String> {
     let bad = |e: String| {
         format!(
-            "{}: {e}; ca= names the store's authority as PEM",
+            "{}: {e}; ca= must name a PEM file with the store's certificate authority",
             path.display()
         )
     };
@@ -38,7 +39,7 @@ pub(super) fn authorities(path: &Path) -> Result<Vec<u8>, String> {
         .map_err(|e| bad(e.to_string()))?
         .len();
     if length > MOST_CA {
-        return Err(bad("it is too large".to_owned()));
+        return Err(bad(format!("the file has more than {MOST_CA} bytes")));
     }
     let pem = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
     sightline_http::roots(Some(&pem)).map_err(bad)?;
@@ -46,10 +47,10 @@ pub(super) fn authorities(path: &Path) -> Result<Vec<u8>, String> {
 }
 
 impl Http {
-    /// A client that trusts these authorities.
+    /// Creates a client that trusts these certificate authorities.
     ///
     /// # Errors
-    /// When TLS cannot be set up.
+    /// An error if TLS cannot be set up.
     pub(super) fn new(roots: RootCertStore) -> Result<Self, String> {
         Client::new(roots, CONNECT).map(Self)
     }
@@ -61,11 +62,11 @@ impl HttpConnector for Http {
     }
 }
 
-fn error(fault: Fault) -> HttpError {
-    let kind = match fault.during {
-        During::Connecting => HttpErrorKind::Connect,
-        During::Waiting => HttpErrorKind::Timeout,
-        During::Talking => HttpErrorKind::Interrupted,
+fn error(fault: RequestError) -> HttpError {
+    let kind = match fault.stage {
+        RequestStage::Connecting => HttpErrorKind::Connect,
+        RequestStage::Waiting => HttpErrorKind::Timeout,
+        RequestStage::Talking => HttpErrorKind::Interrupted,
     };
     HttpError::new(kind, fault)
 }
@@ -87,7 +88,7 @@ impl HttpService for Http {
 }
 
 /// The body of an answer.
-struct Body(Answer);
+struct Body(ResponseBody);
 
 impl http_body::Body for Body {
     type Data = bytes::Bytes;

@@ -1,13 +1,13 @@
-//! The keys of an object store in a file, as the tools of Amazon write it: `[default]` with a name and a
-//! value on each line. They are in no message and no log.
+//! The keys of an object store in a file, in the format of Amazon's tools. The file has a line `[default]`,
+//! then a name and a value on each line. Messages and logs never contain the keys.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Largest file that is read, in bytes.
+/// Maximum length of a key file, in bytes.
 const MOST: u64 = 64 << 10;
 
-/// Keys.
+/// The access keys of an object store.
 #[derive(PartialEq, Eq)]
 pub(super) struct Keys {
     pub(super) id: String,
@@ -21,10 +21,10 @@ impl fmt::Debug for Keys {
     }
 }
 
-/// A file of keys that cannot be used.
+/// An error of a key file.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{}: {reason}; keys= names a file with aws_access_key_id = … and aws_secret_access_key = …",
+    "{}: {reason}; keys= must name a file with aws_access_key_id = … and aws_secret_access_key = …",
     path.display()
 )]
 pub(super) struct KeysError {
@@ -36,7 +36,7 @@ impl Keys {
     /// Reads the keys of the section `[default]`, or of a file without sections.
     ///
     /// # Errors
-    /// When there are none.
+    /// An error if the file contains no keys.
     pub(super) fn read(path: &Path) -> Result<Self, KeysError> {
         let bad = |reason: String| KeysError {
             path: path.to_owned(),
@@ -46,7 +46,7 @@ impl Keys {
             .map_err(|e| bad(e.to_string()))?
             .len();
         if length > MOST {
-            return Err(bad("it is too large".to_owned()));
+            return Err(bad(format!("the file has more than {MOST} bytes")));
         }
         let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
         Self::parse(&text).map_err(|reason| bad(reason.to_owned()))
@@ -70,8 +70,8 @@ impl Keys {
             };
             *slot = Some(value.trim().to_owned()).filter(|value| !value.is_empty());
         }
-        let id = id.ok_or("it has no aws_access_key_id")?;
-        let secret = secret.ok_or("it has no aws_secret_access_key")?;
+        let id = id.ok_or("the file has no aws_access_key_id")?;
+        let secret = secret.ok_or("the file has no aws_secret_access_key")?;
         Ok(Self { id, secret, token })
     }
 }
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_are_read_and_not_shown() {
+    fn keys_are_read_and_hidden_in_debug_output() {
         let text = "[other]\naws_access_key_id=x\n[default]\naws_access_key_id = ada \n\
                     aws_secret_access_key=hush=\n# nothing\n";
         let keys = Keys::parse(text).unwrap();
@@ -96,11 +96,11 @@ mod tests {
         assert_eq!(token.token.as_deref(), Some("c"));
         assert_eq!(
             Keys::parse("[other]\naws_access_key_id=x"),
-            Err("it has no aws_access_key_id")
+            Err("the file has no aws_access_key_id")
         );
         assert_eq!(
             Keys::parse("aws_access_key_id=x\n"),
-            Err("it has no aws_secret_access_key")
+            Err("the file has no aws_secret_access_key")
         );
         let missing = Keys::read(Path::new("/nowhere/keys")).unwrap_err();
         assert!(missing.to_string().contains("/nowhere/keys"), "{missing}");

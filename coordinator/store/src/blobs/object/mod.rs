@@ -1,11 +1,10 @@
-//! Blobs in a bucket of an S3-compatible store. An object's key is the prefix and the digest of its
-//! bytes.
+//! Blobs in a bucket of an S3-compatible store. An object's key is the prefix and the digest of its bytes.
 //!
-//! A blob goes through a file on the coordinator's disk in either direction. On the way in its digest is
-//! known before the first byte is sent, so that nothing is ever under a wrong name or a temporary one,
-//! and a blob that is not what was announced costs no upload; S3 shows an upload in parts as a whole or
-//! not at all. On the way out the whole is checked before the first byte is given out. The file is then
-//! kept as a [copy](cache::Cache) for the next reader.
+//! Every blob passes through a file on the coordinator's disk in both directions. Before an upload, the
+//! digest is computed from the file. So no object ever has a wrong or a temporary name, and a blob with a
+//! wrong digest causes no upload. S3 shows an upload in parts completely or not at all. After a download, the
+//! complete file is checked before the first byte is returned. The file then stays as a [copy](cache::Cache)
+//! for later reads.
 
 mod bucket;
 mod cache;
@@ -42,7 +41,7 @@ use sightline_records::ids::{Digest, hex};
 /// Maximum length of the record of the blobs' owner, in bytes.
 const OWNER_BYTES: usize = 64;
 
-/// Blobs in a bucket. Clones share it.
+/// A blob store in a bucket. Clones share it.
 #[derive(Clone)]
 pub struct ObjectBlobs(Arc<Inner>);
 
@@ -52,11 +51,12 @@ struct Inner {
 }
 
 impl ObjectBlobs {
-    /// Reaches the bucket: writes, reads and deletes one small object. `directory` is for copies and
-    /// unfinished blobs; nothing else may use it.
+    /// Opens the bucket: writes, reads and deletes one small object.
+    ///
+    /// `directory` contains copies and unfinished blobs; it must have no other use.
     ///
     /// # Errors
-    /// What is wrong with the place, the store or the directory, and what to do about it.
+    /// An error that describes the fault of the place, the store or the directory, and a remedy.
     pub fn open(place: &BucketPlace, directory: &Path) -> Result<Self, BlobError> {
         let cache = Cache::open(directory, place.cache)?;
         let bucket = Bucket::open(place)?;
@@ -68,7 +68,7 @@ impl ObjectBlobs {
         self.0.bucket.key(&format!("{}/{hex}", &hex[..2]))
     }
 
-    /// Reads a blob into a file, which is kept as a copy.
+    /// Downloads a blob into a file, which stays in the cache.
     fn fetch(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
         let (key, mut writer) = (self.key(digest), self.0.cache.files().writer()?);
         self.0.bucket.get(&key, |piece| writer.append(piece))?;
@@ -85,7 +85,7 @@ impl ObjectBlobs {
         })
     }
 
-    /// Publishes a blob that is in a file, which is kept as a copy.
+    /// Uploads a blob from a file, which stays in the cache.
     fn publish(&self, writer: FileWriter, digest: Digest) -> Result<(), BlobError> {
         let length = writer.length();
         let mut file = File::open(writer.path()).map_err(fault("open", writer.path()))?;
@@ -93,7 +93,7 @@ impl ObjectBlobs {
             .bucket
             .put_file(&self.key(&digest), &mut file, length)?;
         if let Err(e) = self.0.cache.keep(writer, digest, length) {
-            tracing::warn!("{e}; the blob is in the object store, and no copy of it here");
+            tracing::warn!("{e}; the blob is in the object store, but the cache has no copy");
         }
         Ok(())
     }
@@ -122,7 +122,7 @@ impl Blobs for ObjectBlobs {
     }
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
-        // Also where an object of this name is: reading it, to see whether it is damaged, costs as much.
+        // An existing object is also written again: reading it to check for damage would cost as much.
         let mut writer = self.0.cache.files().writer()?;
         writer.append(bytes)?;
         let digest = *writer.digest().as_bytes();
@@ -149,7 +149,7 @@ impl Blobs for ObjectBlobs {
                     bytes,
                     written,
                 }),
-                // Objects that are no blobs are nobody's business.
+                // Skip objects that are not blobs.
                 Err(_) => true,
             }
         })
@@ -162,7 +162,7 @@ impl Blobs for ObjectBlobs {
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
         self.0.cache.remove(digest);
         let key = self.key(digest);
-        // S3 does not tell whether something was there.
+        // S3 does not report whether a deleted object existed.
         let was_there = self.0.bucket.len(&key)?.is_some();
         if was_there {
             self.0.bucket.delete(&key)?;
@@ -174,7 +174,7 @@ impl Blobs for ObjectBlobs {
         let key = self.0.bucket.key(OWNER);
         let mut bytes = Vec::new();
         let read = self.0.bucket.get(&key, |piece| {
-            // A longer record is damaged; a part of it suffices for the error.
+            // A longer record is damaged; its beginning suffices for the error.
             bytes.extend_from_slice(&piece[..piece.len().min(OWNER_BYTES - bytes.len())]);
             Ok(())
         });
@@ -209,7 +209,7 @@ impl Blobs for ObjectBlobs {
     }
 }
 
-/// A blob that arrives in pieces.
+/// A writer of a blob that arrives in pieces.
 struct ObjectWriter {
     blobs: ObjectBlobs,
     file: FileWriter,

@@ -1,101 +1,107 @@
-//! Where blobs are, as an operator says it: `dir:PATH` or `s3://BUCKET/PREFIX?OPTION=VALUE&…`.
+//! The location of blobs, as an operator configures it: `dir:PATH` or `s3://BUCKET/PREFIX?OPTION=VALUE&…`.
 
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Bytes of checked blobs that are kept on the coordinator's disk unless `cache` says otherwise.
+/// Default size of the cache of checked blobs on the coordinator's disk, in bytes.
 const CACHE: u64 = 8 << 30;
-/// Longest prefix in bytes; a key may have 1024.
+/// Maximum length of a prefix, in bytes. A key may have 1024 bytes.
 const MAX_PREFIX: usize = 512;
 
-/// Where blobs are.
+/// The location of blobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BlobPlace {
-    /// A directory of this machine.
+    /// A directory on this machine.
     Directory(PathBuf),
     /// A bucket of an S3-compatible store.
     Bucket(Box<BucketPlace>),
 }
 
-/// How workers get at the blobs of a bucket.
+/// The way in which workers access the blobs of a bucket.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Ways {
-    /// Through the coordinator alone.
+    /// Workers access blobs only through the coordinator.
     #[default]
     Coordinator,
-    /// By themselves, where the coordinator does.
+    /// Workers access the store directly, at the coordinator's endpoint.
     Endpoint,
-    /// By themselves, at an address of the store that the coordinator does not use.
+    /// Workers access the store directly, at an address that the coordinator does not use.
     Address(String),
 }
 
-/// A bucket of an S3-compatible store, and how to reach it. Has no keys: they come from the environment or
-/// from a file.
+/// A bucket of an S3-compatible store and its connection settings, without keys. The keys come from the
+/// environment or from a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BucketPlace {
     /// The name of the bucket.
     pub bucket: String,
-    /// What all keys begin with; empty for nothing.
+    /// The prefix of all keys; may be empty.
     pub prefix: String,
-    /// The address of the store; `None` for Amazon's, or the one in `AWS_ENDPOINT_URL`.
+    /// The address of the store; `None` for the address in `AWS_ENDPOINT_URL`, or else Amazon's.
     pub endpoint: Option<String>,
-    /// The region; `None` for the one in `AWS_REGION`.
+    /// The region; `None` for the region in `AWS_REGION`.
     pub region: Option<String>,
-    /// The authority of the store's certificate as PEM, beside those that the system trusts.
+    /// A PEM file with the authority of the store's certificate, trusted in addition to the system's
+    /// authorities.
     pub ca: Option<PathBuf>,
-    /// A file with the keys, as the tools of Amazon write it; `None` for the environment.
+    /// A file with the keys, in the format of Amazon's tools; `None` for the environment.
     pub keys: Option<PathBuf>,
-    /// Most bytes of checked blobs that are kept on the coordinator's disk.
+    /// Maximum number of bytes of checked blobs in the cache on the coordinator's disk.
     pub cache: u64,
-    /// How workers get at the blobs.
+    /// The way in which workers access the blobs.
     pub direct: Ways,
-    /// Whether an address without encryption may be beyond this machine.
+    /// True if an unencrypted address may lead to another machine.
     pub allow_plaintext: bool,
 }
 
-/// A place that cannot be understood. Never has the text of an option's value, which may be a secret.
+/// An error in a location. It never contains the value of an option, which may be a secret.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum PlaceError {
-    /// It begins with neither of the two.
-    #[error("blobs are at dir:PATH or at s3://BUCKET/PREFIX; this is neither")]
-    Scheme,
-    /// The name of the bucket cannot be one.
+    /// The text begins with neither `dir:` nor `s3://`.
     #[error(
-        "a bucket's name has 3 to 63 letters, digits, dots, hyphens and underscores; correct s3://BUCKET"
+        "the location of blobs is neither dir:PATH nor s3://BUCKET/PREFIX; give one of these forms"
+    )]
+    Scheme,
+    /// The name of the bucket is invalid.
+    #[error(
+        "a bucket's name has 3 to 63 letters, digits, dots, hyphens and underscores; correct \
+         s3://BUCKET"
     )]
     Bucket,
-    /// The prefix cannot be one.
+    /// The prefix is invalid.
     #[error(
         "a prefix has at most {MAX_PREFIX} letters, digits and -_.=/ and no empty part; correct \
          s3://BUCKET/PREFIX"
     )]
     Prefix,
-    /// An option that does not exist.
+    /// The option does not exist.
     #[error(
-        "there is no option '{0}' of s3://; there are endpoint, region, ca, keys, cache and direct. Keys are \
-         read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or from the file that keys= names"
+        "the option '{0}' of s3:// does not exist; the options are endpoint, region, ca, keys, \
+         cache and direct. Keys are read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or from \
+         the file of keys="
     )]
     Option(String),
-    /// An option without a value, or given twice.
+    /// The option has no value or occurs twice.
     #[error("give the option '{0}' of s3:// once, as {0}=VALUE")]
     Value(&'static str),
-    /// The address is not one.
+    /// The endpoint is not a valid address.
     #[error("the endpoint of s3:// must be https://HOST or https://HOST:PORT, without a path")]
     Endpoint,
-    /// An address without encryption beyond this machine.
+    /// The endpoint is unencrypted and on another machine.
     #[error(
-        "the endpoint of s3:// is not encrypted, and is not on this machine; give one with https://, or \
-         --allow-plaintext where the network is private"
+        "the endpoint of s3:// is not encrypted, and is not on this machine; use https://, or add \
+         --allow-plaintext on a private network"
     )]
     Plaintext,
-    /// How workers get at blobs is not said.
+    /// The value of the option `direct` is invalid.
     #[error(
-        "direct= of s3:// is yes, no, or the address of the store for workers, such as https://HOST:PORT"
+        "direct= of s3:// must be yes, no, or the address of the store for workers, such as \
+         https://HOST:PORT"
     )]
     Direct,
-    /// The bound of the cache is not one.
+    /// The size of the cache is invalid.
     #[error(
-        "cache= of s3:// is a number of bytes, or one with K, M, G or T behind it, such as 20G"
+        "cache= of s3:// must be a number of bytes, with K, M, G or T behind it if needed, such as 20G"
     )]
     Cache,
 }
@@ -154,7 +160,7 @@ impl FromStr for BlobPlace {
                     value,
                     ways(value).ok_or(PlaceError::Direct)?,
                 )?,
-                // Whatever stands where a name should be may be anything.
+                // The text in place of an option name may be a secret, so show only plausible names.
                 _ if plain(name, "-_") && name.len() <= 32 => {
                     return Err(PlaceError::Option(name.to_owned()));
                 }
@@ -184,12 +190,12 @@ fn ways(text: &str) -> Option<Ways> {
     match text {
         "yes" => Some(Ways::Endpoint),
         "no" => Some(Ways::Coordinator),
-        // What kind of address it is, is looked at with the endpoint.
+        // The endpoint check validates the address.
         _ => text.contains("://").then(|| Ways::Address(text.to_owned())),
     }
 }
 
-/// A number of bytes with or without a letter behind it.
+/// Parses a number of bytes with an optional suffix K, M, G or T (powers of 1024).
 fn bytes(text: &str) -> Option<u64> {
     let split = text
         .find(|c: char| !c.is_ascii_digit())
@@ -207,7 +213,7 @@ fn bytes(text: &str) -> Option<u64> {
 }
 
 impl BucketPlace {
-    /// The place without its options, for messages.
+    /// Returns the location without its options, for messages.
     pub(super) fn name(&self) -> String {
         let slash = if self.prefix.is_empty() { "" } else { "/" };
         format!("s3://{}{slash}{}", self.bucket, self.prefix)
@@ -216,7 +222,7 @@ impl BucketPlace {
     /// Checks an address of a store.
     ///
     /// # Errors
-    /// When it is not one, or goes over a network without encryption where that is not allowed.
+    /// An error if the address is invalid, or if it is unencrypted on a network where that is not allowed.
     pub(super) fn check(&self, endpoint: &str) -> Result<(), PlaceError> {
         let uri: sightline_http::Uri = endpoint.parse().map_err(|_| PlaceError::Endpoint)?;
         let authority = uri
@@ -253,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_read() {
+    fn places_are_parsed() {
         assert_eq!(
             "dir:/var/blobs".parse(),
             Ok(BlobPlace::Directory("/var/blobs".into()))
@@ -290,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn other_places_are_refused_without_their_values() {
+    fn invalid_places_are_rejected_without_their_values() {
         for (text, error) in [
             ("", PlaceError::Scheme),
             ("dir:", PlaceError::Scheme),
@@ -318,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_without_encryption_stays_on_this_machine() {
+    fn unencrypted_address_must_be_on_this_machine() {
         let mut place = bucket("s3://farm");
         for here in [
             "http://127.0.0.1:9000",

@@ -1,4 +1,5 @@
-//! What is different about a bucket: against a real server, also one that dies, lies or breaks off.
+//! Tests of blobs in a bucket, against a real server. The server may also die, return wrong bytes or
+//! disconnect.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -12,7 +13,7 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// A server, its folder and a file of keys.
+/// A server with its folder and a file of keys.
 pub(in super::super) struct Served {
     pub(in super::super) server: S3Server,
     folder: TempDir,
@@ -41,12 +42,12 @@ impl Served {
         ObjectBlobs::open(&place, &self.folder.path().join("copies"))
     }
 
-    /// The blobs, with a cache of this many bytes.
+    /// Opens the blobs with a cache of this many bytes.
     pub(in super::super) fn open(&self, cache: u64) -> ObjectBlobs {
         self.at(&self.text(&self.server.endpoint(), cache)).unwrap()
     }
 
-    /// The same, with addresses for workers.
+    /// Opens the blobs with a cache of this many bytes, and with addresses for workers.
     pub(super) fn open_direct(&self, cache: u64, direct: &str) -> ObjectBlobs {
         self.at(&format!(
             "{}&direct={direct}",
@@ -55,7 +56,7 @@ impl Served {
         .unwrap()
     }
 
-    /// Why there are no such addresses.
+    /// Returns the error for an invalid value of the option `direct`.
     pub(super) fn refused(&self, direct: &str) -> BlobError {
         let text = format!("{}&direct={direct}", self.text(&self.server.endpoint(), 0));
         self.at(&text).err().unwrap()
@@ -67,7 +68,7 @@ fn keys(folder: &Path, id: &str, secret: &str) {
     std::fs::write(folder.join("keys"), text).unwrap();
 }
 
-/// Bytes without a pattern that repeats within a part.
+/// Returns bytes without a pattern that repeats within a part.
 fn noise(n: usize) -> Vec<u8> {
     let mut bytes = vec![0; n];
     blake3::Hasher::new().finalize_xof().fill(&mut bytes);
@@ -89,7 +90,7 @@ fn flip(path: &Path, at: usize) {
 }
 
 #[test]
-fn a_large_blob_goes_up_in_parts_and_comes_back() {
+fn large_blob_is_uploaded_in_parts_and_read_back() {
     let served = Served::new();
     let blobs = served.open(0);
     let bytes = noise((40 << 20) + 7);
@@ -98,7 +99,7 @@ fn a_large_blob_goes_up_in_parts_and_comes_back() {
     assert!(blobs.read(&digest).unwrap() == bytes);
     assert_eq!(served.server.open_parts(), 0);
     assert_eq!(served.server.objects("farm", &hex(&digest)).len(), 1);
-    // Nothing is left of what was on the way.
+    // No temporary file is left.
     assert_eq!(
         std::fs::read_dir(served.folder.path().join("copies/tmp"))
             .unwrap()
@@ -108,7 +109,7 @@ fn a_large_blob_goes_up_in_parts_and_comes_back() {
 }
 
 #[test]
-fn a_flipped_byte_is_found_and_written_over() {
+fn put_replaces_damaged_object() {
     let served = Served::new();
     let blobs = served.open(0);
     let digest = blobs.put(b"walls and floors").unwrap();
@@ -129,7 +130,7 @@ fn a_flipped_byte_is_found_and_written_over() {
 }
 
 #[test]
-fn copies_are_read_without_the_store_and_again_from_it_when_damaged() {
+fn copies_are_read_offline_and_damaged_copies_downloaded() {
     let mut served = Served::new();
     let blobs = served.open(1 << 20);
     let digest = blobs.put(b"walls").unwrap();
@@ -148,14 +149,14 @@ fn copies_are_read_without_the_store_and_again_from_it_when_damaged() {
         0,
     );
     assert_eq!(blobs.read(&digest).unwrap(), b"walls");
-    // Another coordinator has no copy, and sees what is there.
+    // Another coordinator has no copy, and reads the object.
     drop(blobs);
     std::fs::remove_dir_all(served.folder.path().join("copies")).unwrap();
     assert_eq!(served.open(1 << 20).read(&digest).unwrap(), b"walls");
 }
 
 #[test]
-fn a_store_that_starts_again_is_awaited() {
+fn requests_wait_for_restarting_store() {
     let mut served = Served::new();
     let blobs = served.open(0);
     let digest = blobs.put(b"walls").unwrap();
@@ -171,7 +172,7 @@ fn a_store_that_starts_again_is_awaited() {
     });
 }
 
-/// Passes connections on to a server, and breaks the first ones off after so many bytes of answers.
+/// Forwards connections to a server, and breaks the first `breaks` of them after `after` bytes of answers.
 fn breaking(to: SocketAddr, breaks: usize, after: u64) -> (SocketAddr, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (address, broken) = (
@@ -208,7 +209,7 @@ fn breaking(to: SocketAddr, breaks: usize, after: u64) -> (SocketAddr, Arc<Atomi
 }
 
 #[test]
-fn a_download_that_breaks_off_goes_on_where_it_was() {
+fn interrupted_download_continues_at_its_position() {
     let served = Served::new();
     let bytes = noise(8 << 20);
     let digest = put(&served.open(0), &bytes);
@@ -221,7 +222,7 @@ fn a_download_that_breaks_off_goes_on_where_it_was() {
 }
 
 #[test]
-fn what_is_wrong_with_a_place_is_said_at_the_start_and_keys_never_are() {
+fn start_reports_faulty_places_and_never_shows_keys() {
     let served = Served::new();
     let endpoint = served.server.endpoint();
     let said = |text: &str| {
@@ -255,11 +256,11 @@ fn what_is_wrong_with_a_place_is_said_at_the_start_and_keys_never_are() {
 }
 
 #[test]
-fn an_upload_that_fails_leaves_no_parts() {
+fn failed_upload_leaves_no_parts() {
     let served = Served::new();
     let blobs = served.open(0);
     let key = object_store::path::Path::from("blobs/one/short");
-    // The file ends before it should.
+    // The file is shorter than the announced length.
     let mut file: &[u8] = &noise(20 << 20);
     let e = blobs
         .0

@@ -1,23 +1,26 @@
-//! Exact rays computed from the lines they lie on, instead of from the rays they were cut from.
+//! Exact rays, computed from the lines whose hyperplanes contain them instead of from the rays from which
+//! they were cut.
 //!
-//! Along a chain of cuts the integers double in length with every cut, before common factors are removed. An
+//! Along a chain of cuts, the integers double in length with every cut, before common factors are removed. An
 //! extreme ray is the only solution of K(x, l) = 0 for five independent lines l, whose integers are small.
 
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
 
-use super::solved::{MOST_ERROR, functional, independent};
+use super::solved_rays::{MOST_ERROR, functional, independent};
 use super::{Space, Tight, VectorId, klein_exact};
 use crate::arithmetic::number::{primitive, rounded};
 use crate::geometry::predicates;
 
 impl Space {
-    /// Computes a ray exactly from `lines`, the lines it is on, of which there are at least five. Leaves the
-    /// ray unchanged if doubles cannot tell which lines determine it.
+    /// Computes the exact components of a ray from at least five `lines` whose hyperplanes contain the ray.
+    ///
+    /// The function leaves the ray unchanged if its exact components are known, if it is a real line by
+    /// construction, or if doubles cannot determine five independent lines or the ray's sign.
     pub fn sharpen_from(&mut self, ray: VectorId, lines: &[VectorId]) {
-        // A ray that is a real line by construction has smaller integers from its points, without a common
-        // factor.
+        // If a ray is a real line by construction, the integers computed from its points are smaller and have
+        // no common factor.
         let near = (0.0..MOST_ERROR).contains(&self.near[ray.index()].error);
         if self.vectors[ray.index()].exact.is_some() || self.is_line(ray) || !near {
             return;
@@ -31,7 +34,7 @@ impl Space {
         };
         let rows = chosen.map(|k| functional(self.exact(lines[k])));
         let mut x = cross(&rows);
-        // Let x̂ be the solution, rounded to components of at most 1 and one of at least 1/2, and let the
+        // Let x̂ be the solution, scaled so that no component exceeds 1 and one is at least 1/2. Let the
         // ray's doubles be cx̂ up to an error of 0.05. Then c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|. The error changes
         // this by at most 0.05·√6|x̂|, which does not change the sign.
         let along: f64 = rounded(&x)
@@ -57,15 +60,18 @@ impl Space {
 }
 
 impl Space {
-    /// A vector x with K(x, l) = 0 for five independent lines l.
+    /// Computes a vector x ≠ 0 with K(x, l) = 0 for each of five independent lines l.
     pub fn orthogonal(&mut self, lines: [VectorId; 5]) -> [IBig; 6] {
         let mut x = cross(&lines.map(|line| functional(self.exact(line))));
         primitive(&mut x);
         x
     }
 
-    /// The rays of the cone of all vectors that have six independent lines on the given sides, each with the
-    /// lines that are tight at it.
+    /// Computes the six extreme rays of the cone of all vectors x for which K(x, l) is 0 or has the given
+    /// sign, for six independent lines l.
+    ///
+    /// Each ray is returned with the set of lines that are tight at the ray; bit i of the set stands for
+    /// `lines[i]`.
     pub fn dual_simplex(&mut self, lines: [(VectorId, Ordering); 6]) -> Vec<(VectorId, Tight)> {
         let exact = lines.map(|(line, _)| self.exact(line).clone());
         let rays = (0..6).map(|i| {
@@ -83,8 +89,9 @@ impl Space {
     }
 }
 
-/// The vector orthogonal to five rows: their minors of five columns, with alternating signs; 0 if the rows
-/// are dependent.
+/// Computes the vector orthogonal to five rows: the 5 × 5 minors of the rows, with alternating signs.
+///
+/// The vector is 0 if the rows are dependent.
 fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     let [a, b, c, d, e] = rows;
     let minor = |x: &[IBig; 6], y: &[IBig; 6], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
@@ -96,7 +103,7 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     let (ab, cd) = (pairs(a, b), pairs(c, d));
     let triple =
         |i: usize, j: usize, k: usize| &cd[i][j] * &e[k] - &cd[i][k] * &e[j] + &cd[j][k] * &e[i];
-    // Indexed by the set of columns, as bits.
+    // The index into `triples` is the set of columns, as bits.
     let mut triples: [IBig; 64] = std::array::from_fn(|_| IBig::ZERO);
     for i in 0..6 {
         for j in i + 1..6 {
@@ -112,7 +119,7 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
             for j in i + 1..5 {
                 let rest = 63 & !(1 << without) & !(1 << columns[i]) & !(1 << columns[j]);
                 let term = &ab[columns[i]][columns[j]] * &triples[rest];
-                // Laplace, along the first two rows.
+                // Laplace expansion along the first two rows.
                 if (i + j) % 2 == 1 {
                     sum += term
                 } else {
@@ -126,15 +133,19 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
 
 #[cfg(test)]
 impl Space {
-    /// The cone of six independent vectors.
-    pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> (Vec<(VectorId, Tight)>, Vec<VectorId>) {
+    /// Creates the cone of six independent vectors.
+    pub fn simplex(
+        &mut self,
+        corner_rays: &[[IBig; 6]; 6],
+    ) -> (Vec<(VectorId, Tight)>, Vec<VectorId>) {
         let halves = std::array::from_fn::<_, 6, _>(|without| {
-            let others =
-                std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
+            let others = std::array::from_fn(|k| {
+                functional(&corner_rays[if k < without { k } else { k + 1 }])
+            });
             self.fixed(cross(&others))
         });
         let rays = (0..6)
-            .map(|i| (self.fixed(of[i].clone()), 0b11_1111 & !(1 << i)))
+            .map(|i| (self.fixed(corner_rays[i].clone()), 0b11_1111 & !(1 << i)))
             .collect();
         (rays, halves.into())
     }
@@ -148,7 +159,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_cross_product_is_orthogonal_and_vanishes_only_for_dependent_rows(
+        fn cross_is_orthogonal_and_zero_only_for_dependent_rows(
             rows in prop::array::uniform5(prop::array::uniform6(-9i64..10)), bits in 0usize..80,
             mix in prop::array::uniform4(-2i64..3),
         ) {
@@ -166,7 +177,7 @@ mod tests {
         }
     }
 
-    /// The rank of rows of small integers, by elimination without fractions (Bareiss 1968).
+    /// Returns the rank of rows of small integers, by elimination without fractions (Bareiss 1968).
     fn rank(rows: [[i64; 6]; 5]) -> usize {
         let mut m = rows.map(|r| r.map(i128::from));
         let (mut rank, mut before) = (0, 1);

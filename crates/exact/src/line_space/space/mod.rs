@@ -1,10 +1,11 @@
 //! Lines and rays of Plücker space: rounded with a bound, exact on demand, and the signs of their Klein
 //! forms.
 //!
-//! A line through p and q has the coordinates (q − p, p × q). The Klein form `d·m' + m·d'` of two lines says
-//! on which side one passes the other; it is 0 when the two meet (Nirenstein 2003, section 3.1.5). Extreme
-//! rays of a region are six-vectors too, though most of them are not real lines. Every vector is constructed
-//! from others, and its exact components are computed once, when a filter fails.
+//! A line through p and q has the coordinates (q − p, p × q). The sign of the Klein form `d·m' + m·d'` of two
+//! lines is the side on which one passes the other; the form is 0 if the two meet (Nirenstein 2003, section
+//! 3.1.5). Extreme rays of a region are six-vectors too, though most of them are not real lines. Every vector
+//! is constructed from other vectors or points. The space computes and stores a vector's exact components
+//! when a filter first fails.
 
 use std::cmp::Ordering;
 
@@ -17,16 +18,16 @@ use sightline_geometry::rounding::UNIT as U;
 mod cross;
 mod rounded;
 mod small;
-mod solved;
+mod solved_rays;
 #[cfg(test)]
 mod tests;
 mod zeros;
 
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{integers, primitive, rounded_double_double};
-use crate::geometry::frame::{Frame, Place, Point, Source};
+use crate::geometry::frame::{Frame, Point, PointForm, PointOrigin};
 
-/// A vector of a [`Space`], by its index there.
+/// A vector of a [`Space`], identified by its index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VectorId(u32);
 
@@ -36,7 +37,8 @@ impl VectorId {
     }
 }
 
-/// A set of half-spaces of a region, one bit each.
+/// A set of half-spaces of a region. Bit i stands for the half-space at index i of the region's list of
+/// half-spaces.
 pub type Tight = u128;
 
 /// The construction of a vector.
@@ -44,15 +46,18 @@ pub type Tight = u128;
 enum Origin {
     /// The line from one point of the space to another.
     Join(u32, u32),
-    /// The line in which two planes meet, along n × n'.
+    /// The line in which two planes meet, with the direction n × n' for the normals n and n'.
     Meet(Box<[Through; 2]>),
     /// The negative of another vector.
     Opposite(VectorId),
-    /// Exactly these doubles, in the frame.
+    /// The vector with exactly these components, in the frame.
     Given(Box<[f64; 6]>),
-    /// Integers, kept with the vector.
+    /// A vector given by integer components, which the field `exact` of the vector contains from the start.
     Fixed,
-    /// Where the edge between two rays meets a half-space's border: s(a)·b − s(b)·a with s(a) > 0 > s(b).
+    /// The intersection of the edge between two rays and a half-space's border.
+    ///
+    /// The vector is s(a)·b − s(b)·a. s is the Klein form with the half-space's line, with the sign for which
+    /// s(a) > 0 > s(b).
     Cut {
         a: VectorId,
         b: VectorId,
@@ -60,44 +65,47 @@ enum Origin {
     },
 }
 
-/// The plane through three points of a space. Its normal points to the side from which the points appear
-/// counter-clockwise.
+/// The plane through three points of a space.
+///
+/// The plane's normal points to the side from which the points appear counter-clockwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Through {
-    /// The points.
+    /// The indices of the three points in the space.
     pub points: [u32; 3],
-    /// Whether the normal is reversed.
+    /// True if the normal is reversed.
     pub turned: bool,
 }
 
-/// A six-vector up to a positive factor, rounded, with all data of a filter in one cache line.
+/// A rounded six-vector up to a positive factor, with all data of a filter in one cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-struct Near {
-    /// The components, the greatest at most 1.
+struct FilterVector {
+    /// The components, the largest of which is at most 1 in magnitude.
     x: [f64; 6],
-    /// How far every component may be off the true vector, suitably scaled.
+    /// A bound on the difference of a component from the true vector, suitably scaled.
     error: f64,
-    /// Sum of the magnitudes of `x`.
+    /// The sum of the magnitudes of `x`.
     sum: f64,
 }
 
-/// The other data of a six-vector.
+/// The data of a six-vector that a filter does not need.
 #[derive(Clone, Debug)]
 struct Vector {
-    /// The remainder of the rounded components: with it, they are off by at most `fine`.
+    /// The low-order part of each component: the rounded components plus `rest` differ from the true vector,
+    /// suitably scaled, by at most `fine`.
     rest: [f64; 6],
-    /// The greatest error of a component with its remainder.
+    /// A bound on the error of a component after `rest` is added.
     fine: f64,
-    /// Whether `rest` and `fine` were computed; for cuts, only after a filter failed.
+    /// True if `rest` and `fine` were computed. For cuts, this happens only after a filter failed.
     refined: bool,
     origin: Origin,
     exact: Option<Box<[IBig; 6]>>,
-    /// Row in the table of meeting lines; none if it is not known to be a real line.
+    /// The index of the vector's row in [`Space::meeting`]; `None` if the construction does not show that the
+    /// vector is a real line.
     line: Option<u32>,
 }
 
-/// Whether two lines meet.
+/// An entry of the table of tested pairs of lines: untested, apart, or meeting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Meeting {
     NotAsked,
@@ -105,18 +113,20 @@ enum Meeting {
     Meets,
 }
 
-/// How often each stage decided a sign.
+/// The number of signs that each stage decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Decisions {
-    /// By doubles with an error bound.
+    /// The number of signs decided by doubles with an error bound.
     pub filtered: u64,
-    /// By double-doubles with an error bound.
+    /// The number of signs decided by double-doubles with an error bound.
     pub refined: u64,
-    /// Because the line is a combination of lines the ray is known to be on.
+    /// The number of spanned signs, which are known to be 0.
+    ///
+    /// The sign of two vectors is spanned if one vector is a linear combination of lines that meet the other.
     pub spanned: u64,
-    /// By exact integers.
+    /// The number of signs decided by exact integers.
     pub exact: u64,
-    /// Of the exact ones, those that were 0.
+    /// The number of signs decided by exact integers that were 0.
     pub zero: u64,
 }
 
@@ -130,32 +140,33 @@ impl std::ops::AddAssign for Decisions {
     }
 }
 
-/// All points and vectors of one query, and its frame.
+/// All points and vectors of one query, and the frame of the query.
 pub struct Space {
     frame: Frame,
     points: Vec<Point>,
     point_integers: Vec<Option<Box<[IBig; 4]>>>,
     vectors: Vec<Vector>,
-    /// The vectors, rounded.
-    near: Vec<Near>,
-    /// Which lines meet, as far as tested: a row for each line, with an entry for each line before it.
+    /// The rounded components of each vector, at the index of its [`VectorId`].
+    near: Vec<FilterVector>,
+    /// The tested pairs of lines: a row for each line. Entry j of row i is for the lines of row i and row j <
+    /// i.
     meeting: Vec<Vec<Meeting>>,
-    /// The number of entries of these rows.
+    /// The total number of entries of all rows of `meeting`, for [`Space::size`].
     asked: usize,
-    /// Which triples of meeting lines belong to one pencil, as far as tested.
+    /// The tested triples of meeting lines: true if they belong to one pencil.
     pencils: FxHashMap<[VectorId; 3], bool>,
-    /// Signs that integers decided; kept since regions share rays.
+    /// The signs that integers decided, cached because regions share rays.
     decided: FxHashMap<[VectorId; 2], Ordering>,
-    /// How signs were decided.
+    /// The number of signs that each stage decided.
     pub decisions: Decisions,
 }
 
-/// The Klein form of two six-vectors, rounded.
+/// Computes the rounded Klein form of two six-vectors.
 pub fn klein(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     (a[0] * b[3] + a[1] * b[4] + a[2] * b[5]) + (a[3] * b[0] + a[4] * b[1] + a[5] * b[2])
 }
 
-/// Σ weight · point / Σ weight, homogeneous.
+/// Computes Σ weight · point / Σ weight in homogeneous coordinates.
 pub fn mix(corners: [&[IBig; 4]; 3], weights: &[IBig; 3]) -> [IBig; 4] {
     let [a, b, c] = corners;
     let factors = [
@@ -166,16 +177,16 @@ pub fn mix(corners: [&[IBig; 4]; 3], weights: &[IBig; 3]) -> [IBig; 4] {
     std::array::from_fn(|k| &a[k] * &factors[0] + &b[k] * &factors[1] + &c[k] * &factors[2])
 }
 
-/// The Klein form of two six-vectors, exactly.
+/// Computes the Klein form of two six-vectors exactly.
 pub fn klein_exact(a: &[IBig; 6], b: &[IBig; 6]) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
 }
 
-/// Initial capacity for vectors; most pairs need no more.
+/// The initial capacity for vectors; most pairs of polygons need no more.
 const FEW: usize = 256;
 
 impl Space {
-    /// An empty space.
+    /// Creates a space without points and vectors, whose coordinates are in `frame`.
     pub fn new(frame: Frame) -> Self {
         Self {
             frame,
@@ -191,13 +202,14 @@ impl Space {
         }
     }
 
-    /// The frame.
+    /// Returns the frame.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// A measure of the memory used: the number of points and vectors, plus the tables about them in units of
-    /// a vector's memory.
+    /// Estimates the memory that the space uses, in units of the memory of one vector.
+    ///
+    /// The estimate is the number of points and vectors, plus the scaled sizes of the tables.
     pub fn size(&self) -> usize {
         self.points.len()
             + self.vectors.len()
@@ -205,16 +217,18 @@ impl Space {
             + (self.pencils.len() + self.decided.len()) / 8
     }
 
-    /// Adds a point.
+    /// Adds a point and returns its index.
     pub fn point(&mut self, p: Point) -> u32 {
         self.points.push(p);
         self.point_integers.push(None);
         (self.points.len() - 1) as u32
     }
 
-    /// Adds Σ weight · point / Σ weight, the weights positive and `shares` their shares in the sum, rounded.
-    pub fn mixed(&mut self, of: [u32; 3], weights: [IBig; 3], shares: [f64; 3]) -> u32 {
-        let [a, b, c] = of.map(|i| &self.points[i as usize]);
+    /// Adds the point Σ weight · point / Σ weight and returns its index.
+    ///
+    /// The weights are positive. `shares` contains each weight divided by the sum of the weights, rounded.
+    pub fn mixed(&mut self, points: [u32; 3], weights: [IBig; 3], shares: [f64; 3]) -> u32 {
+        let [a, b, c] = points.map(|i| &self.points[i as usize]);
         let size = [a, b, c]
             .iter()
             .flat_map(|p| p.at)
@@ -228,22 +242,22 @@ impl Space {
             at,
             error,
             fine,
-            place: Place::Mix(of, Box::new(weights)),
+            place: PointForm::Mix(points, Box::new(weights)),
         })
     }
 
-    /// A point, rounded.
+    /// Returns a rounded point.
     pub fn point_at(&self, p: u32) -> &Point {
         &self.points[p as usize]
     }
 
-    /// A point's exact homogeneous coordinates in the frame.
+    /// Returns a point's exact homogeneous coordinates in the frame.
     pub fn point_exact(&mut self, p: u32) -> &[IBig; 4] {
         let p = p as usize;
         if self.point_integers[p].is_none() {
             let mut x = match self.points[p].place.clone() {
-                Place::World(source) => self.frame.integers(&source),
-                Place::Mix(of, weights) => {
+                PointForm::World(source) => self.frame.integers(&source),
+                PointForm::Mix(of, weights) => {
                     let corners = of.map(|i| self.point_exact(i).clone());
                     mix([&corners[0], &corners[1], &corners[2]], &weights)
                 }
@@ -253,15 +267,15 @@ impl Space {
         }
         match &self.point_integers[p] {
             Some(x) => x,
-            None => unreachable!("it was just computed"),
+            None => unreachable!("the exact coordinates were just computed"),
         }
     }
 
-    /// The directed line from one point to another, which must differ.
+    /// Adds the directed line from one point to another, which must differ.
     ///
-    /// With e the points' errors and n the greatest magnitude of a coordinate, the direction is off by at
-    /// most e + e' and a step of n + n', a component of the moment by 2(ne' + n'e + ee') and three steps of
-    /// 2nn'.
+    /// Let e and e' bound the errors of the points, and n and n' the magnitudes of their coordinates. A
+    /// component of the direction is off by at most e + e' plus [`STEP`] times n + n'. A component of the
+    /// moment is off by at most 2(ne' + n'e + ee') plus three times [`STEP`] times 2nn'.
     pub fn join(&mut self, p: u32, q: u32) -> VectorId {
         let (a, b) = (&self.points[p as usize], &self.points[q as usize]);
         let ((x, e), (y, f)) = (a.fine, b.fine);
@@ -276,7 +290,7 @@ impl Space {
         self.push(line, error, Origin::Join(p, q))
     }
 
-    /// The line along n × n' in which two planes meet.
+    /// Adds the line in which two planes meet, with the direction n × n' for the normals n and n'.
     pub fn meet(&mut self, a: Through, b: Through) -> VectorId {
         let ((n, k, e, f), (m, l, g, h)) = (self.plane(a), self.plane(b));
         let size = |v: [DoubleDouble; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
@@ -295,9 +309,11 @@ impl Space {
         )
     }
 
-    /// A plane (n, k), n·x = k, and how far the components of n, and k, may be off.
-    fn plane(&self, of: Through) -> ([DoubleDouble; 3], DoubleDouble, f64, f64) {
-        let [a, b, c] = of.points.map(|p| &self.points[p as usize]);
+    /// Computes the plane n·x = k, and returns n, k and two error bounds.
+    ///
+    /// The first bound is for each component of n, and the second for k.
+    fn plane(&self, through: Through) -> ([DoubleDouble; 3], DoubleDouble, f64, f64) {
+        let [a, b, c] = through.points.map(|p| &self.points[p as usize]);
         let size = |v: [DoubleDouble; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
         let apart = |p: &Point| -> ([DoubleDouble; 3], f64, f64) {
             let d = std::array::from_fn(|i| p.fine.0[i].minus(a.fine.0[i]));
@@ -310,7 +326,7 @@ impl Space {
         let ((x, sx, ex), (y, sy, ey)) = (apart(b), apart(c));
         let n = |i: usize, j: usize| x[i].times(y[j]).minus(x[j].times(y[i]));
         let mut n = [n(1, 2), n(2, 0), n(0, 1)];
-        if of.turned {
+        if through.turned {
             n = n.map(|c| DoubleDouble(-c.0, -c.1));
         }
         let en = 2.0 * (sx * ey + sy * ex + ex * ey) + 8.0 * STEP * sx * sy;
@@ -324,13 +340,13 @@ impl Space {
         (n, k, 1.01 * en, 1.01 * ek)
     }
 
-    /// The negative of a vector.
+    /// Adds the negative of a vector.
     pub fn opposite(&mut self, v: VectorId) -> VectorId {
         let x = self.fine(v).map(|c| DoubleDouble(-c.0, -c.1));
         self.push(x, self.vectors[v.index()].fine, Origin::Opposite(v))
     }
 
-    /// The vector with these components, which are not all 0.
+    /// Adds the vector with these integer components, which must not all be 0.
     pub fn fixed(&mut self, mut x: [IBig; 6]) -> VectorId {
         primitive(&mut x);
         let id = self.push(rounded_double_double(&x), STEP, Origin::Fixed);
@@ -338,7 +354,7 @@ impl Space {
         id
     }
 
-    /// The vector with exactly these components.
+    /// Adds the vector whose components are exactly these doubles.
     pub fn given(&mut self, x: [f64; 6]) -> VectorId {
         self.push(
             x.map(|c| DoubleDouble(c, 0.0)),
@@ -347,7 +363,7 @@ impl Space {
         )
     }
 
-    /// The sign of the Klein form of two vectors.
+    /// Computes the sign of the Klein form of two vectors.
     pub fn side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         if let Some(sign) = self.filtered_side(a, b) {
             self.decisions.filtered += 1;
@@ -356,7 +372,8 @@ impl Space {
         self.unfiltered_side(a, b)
     }
 
-    /// The sign by integers. The integers also improve the doubles of later filters.
+    /// Computes the sign of the Klein form of two vectors by integers. The integers also improve the stored
+    /// doubles, which later filters use.
     pub fn exact_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         let key = [a.min(b), a.max(b)];
         if let Some(sign) = self.decided.get(&key) {
@@ -369,7 +386,7 @@ impl Space {
             &self.vectors[b.index()].exact,
         );
         let (Some(x), Some(y)) = (x, y) else {
-            unreachable!("both were just computed")
+            unreachable!("the exact components of both vectors were just computed")
         };
         let value = klein_exact(x, y);
         self.decisions.exact += 1;
@@ -379,16 +396,17 @@ impl Space {
         sign
     }
 
-    /// The exact components as integers; those of a line have no common factor.
+    /// Returns the exact components of a vector, up to a positive factor, as integers. The components of a
+    /// line have no common factor.
     pub fn exact(&mut self, v: VectorId) -> &[IBig; 6] {
         self.sharpen(v);
         match &self.vectors[v.index()].exact {
             Some(x) => x,
-            None => unreachable!("it was just computed"),
+            None => unreachable!("the exact components were just computed"),
         }
     }
 
-    /// Computes the exact components of a vector and of all vectors it is constructed from.
+    /// Computes the exact components of a vector and of all vectors from which it is constructed.
     fn sharpen(&mut self, v: VectorId) {
         // Chains of constructions can be long, so there is no recursion.
         let mut open = vec![v];
@@ -421,11 +439,12 @@ impl Space {
         }
     }
 
-    /// The exact vector of `origin`, whose parts are exact already.
+    /// Computes the exact components of the vector that `origin` describes. The exact components of all
+    /// vectors that `origin` names must be known.
     fn compute(&mut self, origin: &Origin) -> [IBig; 6] {
         let part = |space: &Self, v: VectorId| match &space.vectors[v.index()].exact {
             Some(x) => x.clone(),
-            None => unreachable!("parts are computed first"),
+            None => unreachable!("exact components of the parents are computed first"),
         };
         let mut out = match origin {
             Origin::Join(p, q) => {
@@ -436,10 +455,14 @@ impl Space {
                 [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)]
             }
             Origin::Meet(planes) => {
-                let [a, b] = planes.map(|of| {
-                    let p = of.points.map(|p| self.point_exact(p).clone());
-                    let plane = crate::geometry::predicates::plane([&p[0], &p[1], &p[2]]);
-                    if of.turned { plane.map(|c| -c) } else { plane }
+                let [a, b] = planes.map(|plane| {
+                    let p = plane.points.map(|p| self.point_exact(p).clone());
+                    let exact = crate::geometry::predicates::plane([&p[0], &p[1], &p[2]]);
+                    if plane.turned {
+                        exact.map(|c| -c)
+                    } else {
+                        exact
+                    }
                 });
                 let d = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
                 let m = |i: usize| &b[3] * &a[i] - &a[3] * &b[i];
@@ -447,11 +470,12 @@ impl Space {
             }
             Origin::Opposite(v) => part(self, *v).map(|c| -c),
             Origin::Given(x) => integers(**x).0,
-            Origin::Fixed => unreachable!("it came with its integers"),
+            Origin::Fixed => unreachable!("a fixed vector is stored with exact components"),
             Origin::Cut { a, b, half } => {
                 let (x, y, h) = (part(self, *a), part(self, *b), part(self, *half));
                 let (s, t) = (klein_exact(&x, &h), klein_exact(&y, &h));
-                // The two have different signs for either orientation of the half-space.
+                // s and t have different signs for either orientation of the half-space, so magnitudes
+                // suffice.
                 let (s, t) = (s.unsigned_abs(), t.unsigned_abs());
                 {
                     let (s, t) = (IBig::from(s), IBig::from(t));
@@ -463,10 +487,12 @@ impl Space {
         out
     }
 
-    /// A number that is equal or differs by 1 for vectors of the same line, in either direction: the
-    /// magnitude of the unit vector's component along a fixed direction. A line's vector is off by far less
-    /// than a step, except for extremely short edges. Equal lines that are not recognised only cost exact
-    /// arithmetic later.
+    /// Computes a hash of a line. The hashes of two vectors of the same line, in either direction, differ by
+    /// at most 1.
+    ///
+    /// The hash is the magnitude of the unit vector's component along a fixed direction, in units of 2⁻²⁴.
+    /// The error of a line's vector is far below that unit, except for extremely short edges. If the caller
+    /// does not recognise equal lines, the only cost is exact arithmetic later.
     pub fn fingerprint(&self, line: VectorId) -> i64 {
         const ALONG: [f64; 6] = [0.419, 0.337, 0.521, 0.263, 0.472, 0.381];
         const STEPS: f64 = (1u64 << 24) as f64;
@@ -476,11 +502,13 @@ impl Space {
         (at.abs() * STEPS) as i64
     }
 
-    /// Whether two lines are the same line, in either direction; `Some(true)` when they have the same
+    /// Compares two lines: `Some(true)` means the same line, `Some(false)` the same line in the opposite
     /// direction.
+    ///
+    /// The result is `None` if the lines differ.
     pub fn same_line(&mut self, a: VectorId, b: VectorId) -> Option<bool> {
         let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
-        // Compared after scaling by the component that is greatest in the first.
+        // The comparison scales both vectors by the component that is largest in the first vector.
         let k = (0..6)
             .max_by(|i, j| v.x[*i].abs().total_cmp(&v.x[*j].abs()))
             .unwrap_or(0);
@@ -492,7 +520,7 @@ impl Space {
         }
         let x = self.exact(a).clone();
         let y = self.exact(b);
-        // Vectors without a common factor: equal or opposite.
+        // The vectors have no common factor, so equal lines have equal or opposite vectors.
         if x == *y {
             Some(true)
         } else if x.iter().zip(y).all(|(c, d)| *c == -d) {
@@ -502,7 +530,7 @@ impl Space {
         }
     }
 
-    /// The orientation of four points, where doubles can tell.
+    /// Computes the orientation of four points, or returns `None` if doubles cannot decide it.
     pub fn filtered_orient(&mut self, a: u32, b: u32, c: u32, d: u32) -> Option<Ordering> {
         let p = [a, b, c, d].map(|i| &self.points[i as usize]);
         let sign = crate::geometry::predicates::orient_points(p);
@@ -510,17 +538,19 @@ impl Space {
         sign
     }
 
-    /// The orientation of four points, computed in world space: the frame keeps orientations.
+    /// Computes the orientation of four points in fixed-width integers from their world positions; the map to
+    /// the frame does not change orientations. Returns `None` if a point was not given in doubles or the
+    /// integers are too long.
     fn orient_world(&self, p: [u32; 4]) -> Option<Ordering> {
         self.world(p)
             .and_then(crate::geometry::predicates::orient_small)
     }
 
-    /// World positions of points, if all were given in doubles.
-    fn world<const N: usize>(&self, of: [u32; N]) -> Option<[DVec3; N]> {
+    /// Returns the world positions of points, or `None` if a point was not given in doubles.
+    fn world<const N: usize>(&self, points: [u32; N]) -> Option<[DVec3; N]> {
         let mut at = [DVec3::ZERO; N];
-        for (at, p) in at.iter_mut().zip(of) {
-            let Place::World(Source::Given(x)) = &self.points[p as usize].place else {
+        for (at, p) in at.iter_mut().zip(points) {
+            let PointForm::World(PointOrigin::Given(x)) = &self.points[p as usize].place else {
                 return None;
             };
             *at = *x;
@@ -528,7 +558,7 @@ impl Space {
         Some(at)
     }
 
-    /// The orientation of four points, the sign of (b − a) × (c − a) · (d − a).
+    /// Computes the orientation of four points: the sign of (b − a) × (c − a) · (d − a).
     pub fn orient(&mut self, a: u32, b: u32, c: u32, d: u32) -> Ordering {
         if let Some(sign) = crate::geometry::predicates::orient_points([
             &self.points[a as usize],

@@ -1,37 +1,40 @@
 //! Six-vectors in doubles with bounds on their errors: the filter that decides nearly all signs.
 //!
-//! A cut is computed in doubles from the doubles of its parents. Where errors have added up along the chain,
-//! or a filter fails, the cut is solved from the lines it is on ([`super::solved`]), in double-doubles if
-//! needed. Where that fails, the cut is computed in double-doubles from its parents, after all vectors they
-//! are constructed from.
+//! A cut is computed in doubles from the doubles of its parents. If the error along the chain of cuts is too
+//! large, or a filter fails, the space solves the cut from the lines whose hyperplanes contain it
+//! ([`super::solved_rays`]), in double-doubles if needed. If that fails, the space computes the cut in
+//! double-doubles from its parents, after all vectors from which the parents are constructed.
 
 use std::cmp::Ordering;
 
 use sightline_geometry::rounding::UNIT as U;
 
-use super::solved::Solved;
-use super::{Near, Origin, Space, Vector, VectorId, klein};
+use super::solved_rays::Solved;
+use super::{FilterVector, Origin, Space, Vector, VectorId, klein};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{normalised, rounded_double_double};
 
-/// Rays that may be off by more than this are solved from the lines they are on, or computed in
-/// double-doubles, at once; rays that are still off by as much are computed exactly. The search for lines in
-/// a region needs rays with small errors. This threshold affects no sign: signs that a filter leaves open are
-/// decided with more precision.
+/// The error above which [`Space::cut`] computes a new ray again with more precision.
+///
+/// The space solves such a ray from the lines whose hyperplanes contain it, or computes it in double-doubles.
+/// If the error is still too large, the space computes the ray exactly. The search for lines in a region
+/// needs rays with small errors. The threshold does not affect a sign: if a filter cannot determine a sign,
+/// the space computes it with more precision.
 const COARSE: f64 = 1e-9;
 
-/// Rays with at most this error in double-doubles are tested in double-doubles before integers.
+/// The error in double-doubles below which [`Space::refine_from`] replaces a ray's components by
+/// double-doubles. With a larger error, callers compute the ray in integers.
 const PRECISE: f64 = 1e-22;
 
 impl Space {
-    /// Adds a vector given in double-doubles, with a bound on their errors.
+    /// Adds a vector given in double-doubles. `fine` bounds the error of each component.
     pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> VectorId {
         let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
             self.meeting.push(Vec::new());
             (self.meeting.len() - 1) as u32
         });
         let id = VectorId(self.vectors.len() as u32);
-        self.near.push(Near {
+        self.near.push(FilterVector {
             x: [0.0; 6],
             error: 0.0,
             sum: 0.0,
@@ -48,13 +51,14 @@ impl Space {
         id
     }
 
-    /// Sets the double-doubles of a vector, with a bound on their errors.
+    /// Replaces the components of a vector by double-doubles, scaled so that the largest rounded component is
+    /// at most 1. `fine` bounds the error of each component before scaling.
     fn set(&mut self, v: VectorId, x: [DoubleDouble; 6], fine: f64) {
         let (high, scale) = normalised(x.map(|c| c.0));
         let rest = x.map(|c| c.1 * scale);
         let fine = fine * scale;
         let error = (fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()))) * (1.0 + 4.0 * U);
-        self.near[v.index()] = Near {
+        self.near[v.index()] = FilterVector {
             x: high,
             error,
             sum: high.iter().map(|c| c.abs()).sum(),
@@ -63,7 +67,8 @@ impl Space {
         (vector.rest, vector.fine, vector.refined) = (rest, fine, true);
     }
 
-    /// Replaces the doubles of a vector by its rounded integers if the doubles are coarse.
+    /// Replaces the doubles of a vector by its exact components, rounded, if the error of the doubles is
+    /// [`COARSE`] or more.
     pub(super) fn improve(&mut self, v: VectorId, exact: &[dashu_int::IBig; 6]) {
         let vector = &self.vectors[v.index()];
         if !vector.refined || vector.fine.is_nan() || vector.fine >= COARSE {
@@ -71,26 +76,26 @@ impl Space {
         }
     }
 
-    /// A vector's rounded components, the greatest at most 1.
+    /// Returns a vector's rounded components, the largest of which is at most 1 in magnitude.
     pub fn rounded(&self, v: VectorId) -> &[f64; 6] {
         &self.near[v.index()].x
     }
 
-    /// How far the rounded components may be off.
+    /// Returns the error bound of a vector's rounded components.
     pub fn error(&self, v: VectorId) -> f64 {
         self.near[v.index()].error
     }
 
-    /// A refined vector in double-doubles.
+    /// Returns the components of a refined vector as double-doubles.
     pub(super) fn fine(&self, v: VectorId) -> [DoubleDouble; 6] {
         let (x, rest) = (&self.near[v.index()].x, &self.vectors[v.index()].rest);
         std::array::from_fn(|i| DoubleDouble(x[i], rest[i]))
     }
 
-    /// The Klein form, rounded, with a bound on its error.
+    /// Computes the rounded Klein form, with a bound on its error.
     ///
-    /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S
-    /// (no component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
+    /// The form has six products and five sums of magnitudes |aᵢbⱼ|, whose total is at most the lower of the
+    /// two sums S (no component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
     #[inline]
     fn form(&self, a: VectorId, b: VectorId) -> (f64, f64) {
         let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
@@ -99,8 +104,9 @@ impl Space {
         (klein(&v.x, &w.x), bound)
     }
 
-    /// As [`Space::form`], of refined vectors in double-doubles: eleven operations of a step each of at most
-    /// S.
+    /// Computes the Klein form like [`Space::form`], but of refined vectors in double-doubles.
+    ///
+    /// Each of eleven operations is off by at most [`STEP`] times S.
     fn fine_form(&self, a: VectorId, b: VectorId) -> (DoubleDouble, f64) {
         let (x, y) = (self.fine(a), self.fine(b));
         let term = |i: usize, j: usize| x[i].times(y[j]);
@@ -116,7 +122,7 @@ impl Space {
         )
     }
 
-    /// The sign, where doubles can tell.
+    /// Returns the sign of the Klein form, or `None` if doubles cannot decide it.
     #[inline]
     pub fn filtered_side(&self, a: VectorId, b: VectorId) -> Option<Ordering> {
         let (value, bound) = self.form(a, b);
@@ -127,13 +133,14 @@ impl Space {
         })
     }
 
-    /// The sign where doubles could not tell: by double-doubles, then by integers.
+    /// Computes the sign of the Klein form after the filter in doubles failed: in double-doubles and, if
+    /// these cannot decide it, in integers.
     pub fn unfiltered_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         self.refined_side(a, b)
             .unwrap_or_else(|| self.exact_side(a, b))
     }
 
-    /// The sign, where double-doubles can tell.
+    /// Computes the sign of the Klein form, or returns `None` if double-doubles cannot decide it.
     pub(super) fn refined_side(&mut self, a: VectorId, b: VectorId) -> Option<Ordering> {
         self.refine(a);
         self.refine(b);
@@ -147,14 +154,17 @@ impl Space {
         })
     }
 
-    /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
+    /// Adds the ray at which the edge between `a` and `b` meets the border of `half`.
     ///
-    /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is always in [0, 1]; the ray is off by
-    /// this error times |b − a|, in addition to the errors of its parents. α itself is rounded by 3u, and
-    /// three operations on numbers of at most 2 follow: 16u.
+    /// `a` and `b` are on different sides of `half`.
     ///
-    /// `on` returns the lines the ray is on; it is called when this error is too large.
+    /// The ray is x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by
+    /// at most max(B)/(s + |t| − 2 max(B)). α is off by at most 1, because it is always in [0, 1]. The ray is
+    /// off by this error times |b − a|, in addition to the errors of its parents. α itself is rounded by 3u,
+    /// and three operations on numbers of at most 2 follow: 16u.
+    ///
+    /// `on` returns the lines whose hyperplanes contain the new ray. The function calls `on` only if this
+    /// error is too large.
     pub fn cut(
         &mut self,
         [a, b]: [VectorId; 2],
@@ -184,7 +194,7 @@ impl Space {
         let id = VectorId(self.vectors.len() as u32);
         let (x, scale) = normalised(x);
         let error = error * scale;
-        self.near.push(Near {
+        self.near.push(FilterVector {
             x,
             error,
             sum: x.iter().map(|c| c.abs()).sum(),
@@ -197,14 +207,14 @@ impl Space {
             exact: None,
             line: None,
         });
-        // False for NaN, too.
+        // The condition is also false for NaN.
         let good = room > 0.0 && error < COARSE;
         if !good {
             match self.solved(x, error, &on(), false) {
                 Some(Solved::Doubles(x, error)) => {
                     let (x, scale) = normalised(x);
                     let sum = x.iter().map(|c| c.abs()).sum();
-                    self.near[id.index()] = Near {
+                    self.near[id.index()] = FilterVector {
                         x,
                         error: error * scale,
                         sum,
@@ -217,8 +227,10 @@ impl Space {
         id
     }
 
-    /// Computes a ray in double-doubles from the lines it is on, if the error is then below [`PRECISE`];
-    /// returns whether it is.
+    /// Computes a ray in double-doubles from the lines `on`, whose hyperplanes contain it, if the error is
+    /// then below [`PRECISE`].
+    ///
+    /// The function returns true if it replaced the ray's components.
     pub(super) fn refine_from(&mut self, ray: VectorId, on: &[VectorId]) -> bool {
         let near = &self.near[ray.index()];
         match self.solved(near.x, near.error, on, true) {
@@ -230,7 +242,7 @@ impl Space {
         }
     }
 
-    /// Computes a cut and the vectors it is constructed from in double-doubles.
+    /// Computes a cut, and the vectors from which it is constructed, in double-doubles.
     fn refine(&mut self, v: VectorId) {
         if self.vectors[v.index()].refined {
             return;
@@ -259,7 +271,8 @@ impl Space {
         }
     }
 
-    /// As [`Space::cut`], from refined parts, with a step in place of u.
+    /// Computes a cut like [`Space::cut`], but from parents in double-doubles, so that [`STEP`] replaces u in
+    /// the error bound.
     fn refine_cut(&mut self, id: VectorId, [a, b, half]: [VectorId; 3]) {
         let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
         let (p, q) = (self.fine(a), self.fine(b));
@@ -287,7 +300,7 @@ impl Space {
         );
         let good = room > 0.0 && self.vectors[id.index()].fine < COARSE;
         if !good {
-            // A ray that is mostly error is of no use to filters or to the search for lines.
+            // Filters and the search for lines cannot use a ray with such a large error.
             self.vectors[id.index()].fine = f64::INFINITY;
             self.sharpen(id);
         }

@@ -1,15 +1,16 @@
-//! Whether three lines are dependent, in integers of fixed width. The test is frequent, since scenes contain
-//! many pencils.
+//! The linear dependence of three lines, decided in integers of fixed width. The test is frequent, because
+//! scenes contain many pencils.
 
 use glam::DVec3;
 use sightline_geometry::predicates::{differences, small_integers};
 
-/// Whether three lines through two points each are linearly dependent as vectors, if all points are small
-/// integers relative to the first; None otherwise.
+/// Returns true if three lines through two points each are linearly dependent as vectors.
 ///
-/// From the first point A = (d, 0), the two others have directions below 2⁴² and moments below 2⁸³. The
-/// vectors d_k B − B_k A, without A's pivot, are below 2¹²⁵. The three lines are dependent if these two
-/// vectors are.
+/// The result is `None` unless all points are small integers relative to the first point.
+///
+/// Relative to the first point, the first line is A = (d, 0), and the other lines B and C have directions
+/// below 2⁴² and moments below 2⁸³. Let k be a component with d_k ≠ 0. The components of d_k B − B_k A and
+/// d_k C − C_k A are below 2¹²⁵. The three lines are dependent if these two vectors are dependent.
 pub fn dependent([a, b, c]: [[DVec3; 2]; 3]) -> Option<bool> {
     let [d, b0, b1, c0, c1] = small_integers(differences(a[0], [a[1], b[0], b[1], c[0], c[1]])?)?;
     let Some(k) = (0..3).find(|k| d[*k] != 0) else {
@@ -37,7 +38,7 @@ pub fn dependent([a, b, c]: [[DVec3; 2]; 3]) -> Option<bool> {
     Some((0..6).all(|j| product(x[i], y[j]) == product(x[j], y[i])))
 }
 
-/// A product as its sign and magnitude, the higher half first.
+/// Computes a product as its sign, the upper 128 bits of its magnitude, and the lower 128 bits.
 fn product(a: i128, b: i128) -> (i128, u128, u128) {
     const HALF: u32 = 64;
     let (x, y) = (a.unsigned_abs(), b.unsigned_abs());
@@ -57,7 +58,7 @@ mod tests {
     use super::*;
     use crate::arithmetic::number::integers;
 
-    /// The line through two points in integers, their coordinates times 2^200.
+    /// Returns the line through two points in integers, with their coordinates scaled by 2^200.
     fn line([p, q]: [DVec3; 2]) -> [IBig; 6] {
         let at = |x: f64| {
             let ([n], e) = integers([x]);
@@ -73,9 +74,9 @@ mod tests {
         [x, y, z, moment(1, 2), moment(2, 0), moment(0, 1)]
     }
 
-    /// By all minors of three.
-    fn truth(of: [[DVec3; 2]; 3]) -> bool {
-        let [x, y, z] = of.map(line);
+    /// Tests dependence by all minors of three.
+    fn truth(lines: [[DVec3; 2]; 3]) -> bool {
+        let [x, y, z] = lines.map(line);
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
         let mut all = (0..6).flat_map(|i| (0..6).flat_map(move |j| (0..6).map(move |k| (i, j, k))));
         all.all(|(i, j, k)| {
@@ -92,7 +93,7 @@ mod tests {
         }
 
         #[test]
-        fn small_and_large_points_agree_with_integers_of_any_size(
+        fn dependent_agrees_with_integers_of_any_size(
             points in prop::array::uniform6(prop::array::uniform3(-3i32..4)),
             spread in 0i32..24,
             far in 0i32..2,
@@ -108,7 +109,7 @@ mod tests {
             if let Some(known) = dependent(lines) {
                 prop_assert_eq!(known, truth(lines));
             }
-            // Large values: pencils, and lines one unit off.
+            // Large values form pencils, and lines one unit off.
             let large = |c: i32| (f64::from(c) * f64::powi(2.0, 36)).round() + f64::from(c * 5 + 1);
             let d = |i: usize| DVec3::from(points[i].map(large));
             for off in [0.0, 1.0] {
@@ -121,7 +122,8 @@ mod tests {
                     prop_assert_eq!(known, truth(lines));
                 }
             }
-            // Lines from one point that are in a plane, and lines along one direction that are.
+            // The first three lines share a point and a plane; the second three share a direction and a
+            // plane.
             let v = DVec3::new(1.0, 2.0, 3.0) * f64::from(spread + 1);
             let (p, q) = (at(0), at(1));
             prop_assert_eq!(dependent([[p, q], [p, p + v], [p, p + v + (q - p)]]), Some(true));

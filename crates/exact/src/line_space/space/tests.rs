@@ -1,4 +1,4 @@
-//! Bounds hold: every ray is as near to its integers as it says, however it was computed.
+//! Tests of the error bounds: every ray is as near to its integers as its bound, however it was computed.
 
 use std::cmp::Ordering;
 
@@ -6,7 +6,7 @@ use dashu_int::IBig;
 use glam::DVec3;
 use proptest::prelude::*;
 
-use super::solved::Solved;
+use super::solved_rays::Solved;
 use super::{Space, VectorId, klein_exact};
 use crate::arithmetic::double_double::DoubleDouble;
 use crate::arithmetic::number::rounded_double_double;
@@ -22,8 +22,9 @@ fn point() -> impl Strategy<Value = DVec3> {
     prop::array::uniform3(-64i32..64).prop_map(|p| DVec3::from(p.map(f64::from)) / 64.0)
 }
 
-/// How far a vector is from integers that are it up to a factor, at most: scaled to agree in the greatest
-/// component.
+/// Returns the largest distance of a vector's components from integers that represent the same vector.
+///
+/// The integers are scaled to agree in their largest component.
 fn off(x: [DoubleDouble; 6], exact: &[IBig; 6]) -> f64 {
     let y = rounded_double_double(exact);
     let k = (0..6)
@@ -36,8 +37,10 @@ fn off(x: [DoubleDouble; 6], exact: &[IBig; 6]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Regions between two triangles cut by lines through points and points next to them, which meet at all
-/// angles, small ones among them.
+/// Creates regions between two triangles, cut by lines through points and by lines through points next to
+/// them.
+///
+/// These lines meet at all angles, including small angles.
 fn regions(
     a: [DVec3; 3],
     b: [DVec3; 3],
@@ -46,7 +49,7 @@ fn regions(
     let (a, b) = (Polygon::triangle(a)?, Polygon::triangle(b)?);
     let [x, y] = parts(&a, &b).into_iter().next()?;
     let mut space = Space::new(Frame::around(&x.0.rounded(), &y.0.rounded()));
-    let pair = stabbing_polyhedron::stabbing(&mut space, (&x.0, &x.1), (&y.0, &y.1)).ok()?;
+    let pair = stabbing_polyhedron::stabbing(&mut space, &x.0, &x.1, &y.0, &y.1).ok()?;
     let mut regions = pair.regions;
     let mut sides = Vec::new();
     for (p, q, near) in cuts {
@@ -78,7 +81,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
     #[test]
-    fn rays_are_as_near_as_they_say(
+    fn rays_stay_within_error_bounds(
         a in prop::array::uniform3(point()), b in prop::array::uniform3(point()),
         cuts in prop::collection::vec(
             (point(), point(), prop_oneof![Just(0.01), Just(1e-5), Just(1e-9)]),
@@ -100,7 +103,7 @@ proptest! {
                 let near = *space.rounded(*ray);
                 let solved = [false, true].map(|best| space.solved(near, error, &lines, best));
                 let exact = space.exact(*ray).clone();
-                // From the lines it is on it is the same as by the cuts it comes from.
+                // The ray from the lines that contain it is the same as the ray from its cuts.
                 space.vectors[ray.index()].exact = None;
                 space.sharpen_from(*ray, &lines);
                 if let Some(again) = &space.vectors[ray.index()].exact {
@@ -108,7 +111,7 @@ proptest! {
                     prop_assert_eq!(exact[k].sign(), again[k].sign());
                     prop_assert!((0..6).all(|i| &exact[i] * &again[k] == &exact[k] * &again[i]));
                 }
-                // What agrees in the greatest component is off by up to three times as much.
+                // A vector that agrees in the largest component is off by up to three times the error.
                 prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
                 for solved in solved.into_iter().flatten() {
                     let (x, error) = match solved {
@@ -121,9 +124,9 @@ proptest! {
         }
     }
 
-    /// Of lines between few points, so that many meet and some are dependent.
+    /// The lines join few points, so that many meet and some are dependent.
     #[test]
-    fn what_is_surely_independent_is(
+    fn surely_independent_lines_are_independent(
         points in prop::array::uniform6(prop::array::uniform3(-2i32..3)),
         near in prop_oneof![Just(0.0), Just(1e-3), Just(1e-15)],
     ) {
@@ -149,12 +152,15 @@ proptest! {
     }
 }
 
-/// Regions cut by edges of few points, corners of the polygons among them, so that many rays are lines, and
-/// combinations of those others are on; between polygons apart, and such that have edges on one line.
+/// Uses regions cut by edges of few points, including corners of the polygons.
+///
+/// Many of these rays are lines, and many are combinations of lines that contain other rays. Half of the
+/// polygon pairs are apart; the other half have edges on one line.
 #[test]
-fn forms_that_are_0_for_a_reason_are_0() {
+fn rules_find_forms_that_are_0() {
     let mut random = Random::new(3, 0);
-    // Forms that are 0, of two rays and of a ray with a line: in all, and for no reason that was seen.
+    // The numbers of forms that are 0, of two rays and of a ray with a line: in total, and without a reason
+    // that a rule found.
     let (mut zeros, mut unexplained) = ([0; 2], [0; 2]);
     for round in 0..400 {
         let mut any = |n: i32| (random.unit() * f64::from(n)) as i32;
@@ -198,7 +204,7 @@ fn forms_that_are_0_for_a_reason_are_0() {
                     };
                 for (j, (b, _)) in region.rays.iter().enumerate().skip(i) {
                     let before = space.decisions.spanned;
-                    let side = space.rays_side((*a, &on[i]), (*b, &on[j]));
+                    let side = space.rays_side(*a, &on[i], *b, &on[j]);
                     check(side, &mut space, *b, 0, before);
                 }
                 for line in region.halves.iter() {
@@ -209,7 +215,7 @@ fn forms_that_are_0_for_a_reason_are_0() {
             }
         }
     }
-    // Most have one: without either rule more than a tenth has none.
+    // Most zeros have a reason. Without either rule, more than a tenth has none.
     assert!(
         (0..2).all(|k| unexplained[k] * 10 < zeros[k]),
         "{unexplained:?} of {zeros:?}"

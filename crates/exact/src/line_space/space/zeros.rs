@@ -1,9 +1,9 @@
-//! Klein forms that vanish for a geometric reason: rays lie on edges of occluders, and edges share planes and
-//! corners.
+//! Klein forms that are 0 for a geometric reason: rays lie on hyperplanes of occluders' edges, and edges
+//! share planes and corners.
 //!
 //! Most signs that the filters cannot decide are such zeros, and lines have far smaller integers than rays.
-//! Every rule here proves that a form is 0 from the incidences of lines. A form that no rule covers is
-//! computed in double-doubles and then in integers.
+//! Every rule in this module proves from the incidences of lines that a form is 0. A form that no rule covers
+//! is computed in double-doubles and then in integers.
 
 use std::cmp::Ordering;
 
@@ -13,9 +13,11 @@ use sightline_geometry::rounding::UNIT as U;
 use super::{Meeting, Origin, Space, Tight, VectorId};
 
 impl Space {
-    /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.
+    /// Computes the sign of the Klein form of a ray and a line, after the filter in doubles failed. The
+    /// hyperplanes of all lines of `tight` contain the ray.
     ///
-    /// For example, a ray on three edges of one face is on all edges in its plane.
+    /// For example, a ray on the hyperplanes of three edges of one face is on the hyperplanes of all edges in
+    /// the plane of the face.
     pub fn unfiltered_ray_side(
         &mut self,
         ray: VectorId,
@@ -30,15 +32,17 @@ impl Space {
         self.unexplained_side([ray, line], &[(ray, &tight)])
     }
 
-    /// The sign of a form that no rule shows to be 0. `rays` holds the vectors that are rays, with lines they
-    /// are on.
+    /// Computes the sign of the Klein form of two vectors if no rule shows that the form is 0.
+    ///
+    /// `rays` contains each of the two vectors that is a ray, with lines whose hyperplanes contain the
+    /// ray.
     fn unexplained_side(
         &mut self,
         [a, b]: [VectorId; 2],
         rays: &[(VectorId, &[VectorId])],
     ) -> Ordering {
-        // In double-doubles from the lines a ray is on: along its chain of cuts, double-doubles would cost as
-        // much as integers.
+        // Compute the ray in double-doubles from these lines. Along its chain of cuts, double-doubles would
+        // cost as much as integers.
         for (ray, on) in rays {
             if !self.vectors[ray.index()].refined && !self.refine_from(*ray, on) {
                 self.sharpen_from(*ray, on);
@@ -53,11 +57,13 @@ impl Space {
         self.exact_side(a, b)
     }
 
-    /// Whether `line` is shown to be a combination of some of `lines`: of one equal line (neighbouring
-    /// targets share edges), of two lines in a pencil with it, or of three lines that meet pairwise. Three
-    /// lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
-    /// meets all three also lies in that plane or passes through that point, and all such lines span three
-    /// dimensions.
+    /// Returns true if incidences show that `line` is a combination of some of `lines`.
+    ///
+    /// The function recognises three cases: one of `lines` is the same line (neighbouring targets share
+    /// edges), two of `lines` are in a pencil with `line`, or `line` meets three of `lines` that meet
+    /// pairwise. Three lines that meet pairwise lie in a plane or pass through a point. If they are
+    /// independent, a line that meets all three also lies in that plane or passes through that point, and all
+    /// such lines span three dimensions.
     fn spans(&mut self, line: VectorId, lines: &[VectorId]) -> bool {
         if !self.is_line(line) {
             return false;
@@ -73,7 +79,8 @@ impl Space {
         }
         for (k, a) in met.iter().enumerate() {
             for b in &met[k + 1..] {
-                // An edge of A and an edge of B can be the same line, and then span that line only.
+                // An edge of A and an edge of B can be on the same line, and then both edges span only that
+                // line.
                 if self.meets(*a, *b)
                     && self.same_line(*a, *b).is_none()
                     && self.pencil(line, *a, *b)
@@ -85,12 +92,12 @@ impl Space {
         self.triple(&met)
     }
 
-    /// Whether a vector is a real line by its construction.
+    /// Returns true if a vector is a real line by its construction.
     pub(super) fn is_line(&self, v: VectorId) -> bool {
         self.vectors[v.index()].line.is_some()
     }
 
-    /// Whether two vectors are lines that meet (or are the same).
+    /// Returns true if two vectors are lines that meet or coincide.
     fn meets(&mut self, a: VectorId, b: VectorId) -> bool {
         let (Some(r), Some(s)) = (self.vectors[a.index()].line, self.vectors[b.index()].line)
         else {
@@ -123,14 +130,16 @@ impl Space {
         meets
     }
 
-    /// Whether two lines are joins with a common point.
+    /// Returns true if both lines were constructed from two points each and share one of these points.
     fn share_a_point(&self, a: VectorId, b: VectorId) -> bool {
         let [a, b] = [a, b].map(|l| &self.vectors[l.index()].origin);
         matches!((a, b), (Origin::Join(p, q), Origin::Join(r, s)) if p == r || p == s || q == r || q == s)
     }
 
-    /// Whether two lines meet, where doubles cannot tell: lines in one plane meet, and two joins meet only in
-    /// that case.
+    /// Tests whether two lines meet, after the filter in doubles failed.
+    ///
+    /// Two lines in one plane meet. Two lines that were constructed from points meet only if their four
+    /// points are in one plane.
     fn unfiltered_meets(&mut self, a: VectorId, b: VectorId) -> bool {
         let [x, y] = [a, b].map(|l| self.vectors[l.index()].origin.clone());
         match (x, y) {
@@ -146,21 +155,26 @@ impl Space {
         }
     }
 
-    /// Whether four points are in a plane.
+    /// Returns true if four points are in a plane.
     fn flat(&mut self, [p, q, r, s]: [u32; 4]) -> bool {
         self.orient(p, q, r, s) == Ordering::Equal
     }
 
-    /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters
-    /// cannot tell.
+    /// Computes the sign of the Klein form of two rays after filters failed.
     ///
-    /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three
-    /// dimensions on which the form vanishes, W is its own orthogonal complement, and so both rays are in W.
-    /// It is also 0 if one of the rays is a combination of lines that the other is on ([`Space::combines`]).
+    /// The hyperplanes of all lines `s` contain ray `a`, and the hyperplanes of all lines `t` contain ray
+    /// `b`.
+    ///
+    /// The form is 0 if the hyperplanes of three independent lines that meet pairwise contain both rays.
+    /// These lines span a space W of three dimensions on which the form vanishes. W is its own orthogonal
+    /// complement, so both rays are in W. The form is also 0 if one of the rays is a combination of lines
+    /// whose hyperplanes contain the other ray ([`Space::combines`]).
     pub fn rays_side(
         &mut self,
-        (a, s): (VectorId, &[VectorId]),
-        (b, t): (VectorId, &[VectorId]),
+        a: VectorId,
+        s: &[VectorId],
+        b: VectorId,
+        t: &[VectorId],
     ) -> Ordering {
         let common: Vec<VectorId> = s
             .iter()
@@ -174,7 +188,7 @@ impl Space {
         self.unexplained_side([a, b], &[(a, s), (b, t)])
     }
 
-    /// Whether three of the lines are independent and meet pairwise.
+    /// Returns true if three of the lines are independent and meet pairwise.
     fn triple(&mut self, lines: &[VectorId]) -> bool {
         for (i, a) in lines.iter().enumerate() {
             for (j, b) in lines[i + 1..].iter().enumerate() {
@@ -191,14 +205,17 @@ impl Space {
         false
     }
 
-    /// Whether the extreme ray that is on all lines of `ray` is shown to be one of `lines`, or a combination
-    /// of two of them.
+    /// Returns true if incidences show that an extreme ray is one of `lines` or a combination of two of
+    /// `lines`.
     ///
-    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray. If two
-    /// lines both meet all but the same one, the ray is the combination of the two that is on that one, too.
+    /// `ray` contains the lines whose hyperplanes contain the extreme ray.
+    ///
+    /// An extreme ray is the only ray on the hyperplanes of all lines of `ray`. So a line that meets all of
+    /// them is that ray. If two lines both meet all except one common line, the extreme ray is the
+    /// combination of the two whose Klein form with this line is 0.
     fn combines(&mut self, ray: &[VectorId], lines: &[VectorId]) -> bool {
-        // For each line, the ray's lines that it does not meet, as bits; a vector that is no real line meets
-        // none.
+        // For each line, bit k is set if the line does not meet `ray[k]`. A vector that is not a real line
+        // counts as meeting no line.
         let mut missed: Vec<(VectorId, Tight)> = Vec::with_capacity(lines.len());
         for l in lines
             .iter()
@@ -226,11 +243,14 @@ impl Space {
         false
     }
 
-    /// The points in world space that three lines join; the frame's map of lines is linear and regular, so it
-    /// keeps their rank.
-    fn joins(&self, of: [VectorId; 3]) -> Option<[[DVec3; 2]; 3]> {
+    /// Returns, for each of three lines, the world positions of the two points from which the line was
+    /// constructed. The result is `None` if a line was constructed differently or a point was not given in
+    /// doubles.
+    ///
+    /// The frame's map of lines is linear and regular, so it keeps the rank of the lines.
+    fn joins(&self, lines: [VectorId; 3]) -> Option<[[DVec3; 2]; 3]> {
         let mut ends = [[DVec3::ZERO; 2]; 3];
-        for (ends, l) in ends.iter_mut().zip(of) {
+        for (ends, l) in ends.iter_mut().zip(lines) {
             let Origin::Join(p, q) = self.vectors[l.index()].origin else {
                 return None;
             };
@@ -239,13 +259,14 @@ impl Space {
         Some(ends)
     }
 
-    /// Whether doubles show a 3×3 minor of three vectors that does not vanish.
+    /// Returns true if doubles show that a 3 × 3 minor of three vectors is not 0, so that the vectors are
+    /// independent.
     ///
-    /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of
-    /// three factors is off by 6(e + e' + e'') and terms of higher order, and by 5u of each product for the
-    /// roundings.
-    pub(super) fn surely_independent(&self, of: [VectorId; 3]) -> bool {
-        let [x, y, z] = of.map(|l| &self.near[l.index()]);
+    /// No component exceeds 1, and each is off by at most its vector's error e. A minor of six products of
+    /// three factors is off by 6(e + e' + e'') and terms of higher order. The roundings add 5u of each
+    /// product.
+    pub(super) fn surely_independent(&self, lines: [VectorId; 3]) -> bool {
+        let [x, y, z] = lines.map(|l| &self.near[l.index()]);
         let error = x.error + y.error + z.error;
         if error.is_nan() || error > 1e-3 {
             return false;
@@ -269,7 +290,7 @@ impl Space {
         })
     }
 
-    /// Whether three lines that meet pairwise are dependent.
+    /// Returns true if three lines that meet pairwise are linearly dependent.
     fn pencil(&mut self, a: VectorId, b: VectorId, c: VectorId) -> bool {
         let mut key = [a, b, c];
         key.sort_unstable();
@@ -292,7 +313,8 @@ impl Space {
         let pivot = (0..6)
             .flat_map(|i| (i + 1..6).map(move |j| (i, j)))
             .find(|(i, j)| !minor(*i, *j).is_zero());
-        // Two equal lines also count as dependent; callers exclude this case where it matters.
+        // If two of the lines are equal, the three lines also count as dependent; callers exclude this case
+        // where it matters.
         let dependent = pivot.is_none_or(|(i, j)| {
             let d = minor(i, j);
             (0..6).all(|k| (&d * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())

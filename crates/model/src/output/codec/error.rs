@@ -1,15 +1,17 @@
-//! The error of bytes that are not a tile's output.
+//! The error type of the decoder of tile outputs.
 
-/// The bytes are not a tile's output.
+/// An error of bytes that are not a tile's output; the text is the reason.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("a tile's output cannot be read: {0}; it was damaged or written by another version")]
+#[error(
+    "a tile's output cannot be read: {0}; the bytes are damaged, or another version wrote them"
+)]
 pub struct CodecError(pub(super) &'static str);
 
-/// The reason of an output that unpacks to more than was allowed.
-pub(super) const TOO_LARGE: &str = "it unpacks to more than its tile can have";
+/// The reason for an output that unpacks to more bytes than the caller allowed.
+pub(super) const TOO_LARGE: &str = "the unpacked size exceeds the tile's limit";
 
 impl CodecError {
-    /// Returns true if the bytes unpack to more than was allowed.
+    /// Returns true if the bytes unpack to more than the caller allowed.
     pub fn is_too_large(&self) -> bool {
         self.0 == TOO_LARGE
     }

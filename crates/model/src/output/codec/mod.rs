@@ -1,7 +1,7 @@
-//! Bytes for packs and cell sets: differences as variable-length integers, then zstd.
+//! The encoding of packs and cell sets: differences as variable-length integers, then zstd.
 //!
-//! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing:
-//! every count is checked against the remaining bytes before anything is allocated for it.
+//! Equal values have equal bytes, so the digest of the bytes identifies the content. The decoder checks every
+//! count against the remaining bytes before it allocates memory for the counted values.
 
 mod error;
 #[doc(hidden)]
@@ -21,23 +21,25 @@ use read::Reader;
 pub use error::CodecError;
 pub use write::encode;
 
-/// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
+/// Maximum unpacked size of a tile's output, in bytes: far above real tiles, and far below a machine's
+/// memory.
 pub const MAX_UNPACKED: u64 = 4 << 30;
 
 /// Decodes a tile's output for a scene of `triangles` triangles.
 ///
 /// # Errors
-/// [`CodecError`] saying what is wrong.
+/// [`CodecError`] with the first fault of the bytes.
 pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
-    read(bytes, triangles, (b"PC", MAX_UNPACKED), &|_| true)
+    read(bytes, triangles, b"PC", MAX_UNPACKED, &|_| true)
 }
 
-/// Checks a tile's output without keeping its samples: a pack comes back empty. Samples in place of cells,
-/// or the other way round, are refused by their first byte, and what unpacks to more than `most` bytes is
-/// not unpacked further: a few kilobytes could be made to take gigabytes.
+/// Checks a tile's output without storing its samples: the returned pack is empty.
+///
+/// The first byte distinguishes samples from cells: the output must contain samples if `is_pack` is true, and
+/// cells otherwise. Unpacking stops after `most` bytes, because a few kilobytes could unpack to gigabytes.
 ///
 /// # Errors
-/// [`CodecError`] saying what is wrong.
+/// [`CodecError`] with the first fault of the bytes.
 pub fn check(
     bytes: &[u8],
     triangles: u32,
@@ -45,30 +47,31 @@ pub fn check(
     most: u64,
 ) -> Result<TileOutput, CodecError> {
     let kind: &[u8] = if is_pack { b"P" } else { b"C" };
-    read(bytes, triangles, (kind, most.min(MAX_UNPACKED)), &|_| false)
+    read(bytes, triangles, kind, most.min(MAX_UNPACKED), &|_| false)
 }
 
-/// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's
+/// Decodes a pack and keeps only the samples in the closed box `within`. A leaf tile needs few of a face's
 /// samples.
 ///
 /// # Errors
-/// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
+/// [`CodecError`] if the bytes are not a pack. Samples outside the box are also checked.
 pub fn decode_pack(bytes: &[u8], triangles: u32, within: &CellBox) -> Result<Pack, CodecError> {
-    match read(bytes, triangles, (b"P", MAX_UNPACKED), &|p| {
+    match read(bytes, triangles, b"P", MAX_UNPACKED, &|p| {
         within.contains(p)
     })? {
         TileOutput::Pack(pack) => Ok(pack),
-        TileOutput::Cells(_) => Err(CodecError("it holds cells and not samples")),
+        TileOutput::Cells(_) => Err(CodecError("the bytes contain cells in place of samples")),
     }
 }
 
 fn read(
     bytes: &[u8],
     triangles: u32,
-    (kinds, most): (&[u8], u64),
+    kinds: &[u8],
+    most: u64,
     keep: &dyn Fn(LatticePoint) -> bool,
 ) -> Result<TileOutput, CodecError> {
-    let bad = |_| CodecError("it is not zstd data");
+    let bad = |_| CodecError("the bytes are not zstd data");
     let mut unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
     let mut raw = Vec::new();
     unpacked
@@ -77,7 +80,9 @@ fn read(
         .read_to_end(&mut raw)
         .map_err(bad)?;
     if !raw.iter().all(|kind| kinds.contains(kind)) {
-        return Err(CodecError("its kind is unknown, or not that of its tile"));
+        return Err(CodecError(
+            "the first byte is not the P of samples or the C of cells that the tile requires",
+        ));
     }
     unpacked.take(most).read_to_end(&mut raw).map_err(bad)?;
     if raw.len() as u64 > most {
@@ -91,11 +96,11 @@ fn read(
     let output = match r.byte()? {
         b'P' => TileOutput::Pack(r.pack(keep)?),
         b'C' => TileOutput::Cells(r.cells()?),
-        _ => return Err(CodecError("its kind is unknown")),
+        _ => return Err(CodecError("the first byte is not the letter P or C")),
     };
     if r.bytes.is_empty() {
         Ok(output)
     } else {
-        Err(CodecError("there is more than it announces"))
+        Err(CodecError("further bytes follow the end of the output"))
     }
 }

@@ -1,4 +1,4 @@
-//! What is encoded is decoded, and damaged bytes are refused.
+//! Tests that encoded outputs are decoded unchanged, and that damaged bytes are rejected.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use sightline_viewcells::Split;
 
 use super::write::{MANY, put_cell};
 use super::*;
-use crate::output::{CellSet, CellSets, Decision, Hits, Node, VisibilitySample};
+use crate::output::{CellSet, CellSets, Decision, Hits, SubtreeNode, VisibilitySample};
 use crate::pairs::{PairTable, TilePairs};
 use crate::statistics::CellStats;
 
@@ -54,7 +54,11 @@ fn outputs() -> impl Strategy<Value = TileOutput> {
                         hidden,
                     }
                 }),
-                nodes: vec![Node::Split(Split { axis, at }), Node::Cell, Node::Cell],
+                nodes: vec![
+                    SubtreeNode::Split(Split { axis, at }),
+                    SubtreeNode::Cell,
+                    SubtreeNode::Cell,
+                ],
                 cells: vec![
                     CellSet {
                         unreached: a.is_empty(),
@@ -93,7 +97,7 @@ fn outputs() -> impl Strategy<Value = TileOutput> {
 
 proptest! {
     #[test]
-    fn what_is_encoded_is_decoded(output in outputs()) {
+    fn outputs_round_trip(output in outputs()) {
         let bytes = encode(&output).unwrap();
         prop_assert_eq!(decode(&bytes, 1000).unwrap(), output);
     }
@@ -105,7 +109,7 @@ proptest! {
         with in any::<u8>(),
         cut in any::<prop::sample::Index>(),
     ) {
-        // Damage under the compression, where zstd's own checks do not stop it.
+        // Damage below the compression, which zstd's own checks do not detect.
         let mut raw = zstd::stream::decode_all(encode(&output).unwrap().as_slice()).unwrap();
         let i = at.index(raw.len());
         raw[i] = with;
@@ -114,7 +118,7 @@ proptest! {
     }
 }
 
-/// Mutations of valid outputs. `SIGHTLINE_FUZZ_SEED` selects others.
+/// Decodes mutations of valid outputs. `SIGHTLINE_FUZZ_SEED` selects other mutations.
 #[test]
 fn fuzzed_outputs_do_not_crash() {
     use proptest::strategy::ValueTree as _;
@@ -150,14 +154,14 @@ fn fuzzed_outputs_do_not_crash() {
         let ran = std::panic::catch_unwind(|| fuzzing::tile(&bytes));
         decoded += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
     }
-    // Mutations that are all rejected, or all decoded, would reach little of the code.
+    // If all mutations were rejected, or all decoded, the test would cover little of the code.
     assert!(
         (rounds / 50..rounds - rounds / 50).contains(&decoded),
         "{decoded} of {rounds} were decoded"
     );
 }
 
-/// A few bytes can announce 400 MB of equal pixels for each sample.
+/// Checks the limit on pixels: a few bytes can announce 400 MB of equal pixels for each sample.
 #[test]
 fn pixels_unpack_to_no_more_than_limit() {
     let most = 1u32 << 20;
@@ -174,15 +178,13 @@ fn pixels_unpack_to_no_more_than_limit() {
         }))
         .unwrap()
     };
-    let read = |bytes: &[u8], keep: bool| super::read(bytes, 1000, (b"P", most.into()), &|_| keep);
+    let read = |bytes: &[u8], keep: bool| super::read(bytes, 1000, b"P", most.into(), &|_| keep);
     assert!(pack(3).len() < 100, "the pixels are one run each");
-    // 1.5 MB of pixels a sample.
+    // 1.5 MB of pixels per sample.
     assert_eq!(read(&pack(0), true).map(|_| ()), Ok(()));
     assert_eq!(
         read(&pack(1), true),
-        Err(CodecError(
-            "its pixels unpack to more than its tile can have"
-        ))
+        Err(CodecError("the unpacked pixels exceed the tile's limit"))
     );
     assert!(
         read(&pack(3), false).is_ok(),
@@ -192,21 +194,21 @@ fn pixels_unpack_to_no_more_than_limit() {
 }
 
 #[test]
-fn many_cells_are_coded_as_a_few_are() {
+fn parallel_encoding_equals_sequential_encoding() {
     let cell = |k: u32| CellSet {
         visible: (0..MANY as u32 / 4).map(|i| i * (k + 1)).collect(),
         samples: k,
         ..CellSet::default()
     };
-    let split = |at| Node::Split(Split { axis: 0, at });
+    let split = |at| SubtreeNode::Split(Split { axis: 0, at });
     let nodes = vec![
         split(4),
         split(2),
-        Node::Cell,
-        Node::Cell,
+        SubtreeNode::Cell,
+        SubtreeNode::Cell,
         split(6),
-        Node::Cell,
-        Node::Cell,
+        SubtreeNode::Cell,
+        SubtreeNode::Cell,
     ];
     let sets = CellSets {
         nodes,
@@ -221,16 +223,16 @@ fn many_cells_are_coded_as_a_few_are() {
     let output = TileOutput::Cells(sets);
     let bytes = encode(&output).unwrap();
     let raw = zstd::stream::decode_all(bytes.as_slice()).unwrap();
-    // No pairs, no portals.
+    // The output has no pairs and no portals.
     one_by_one.extend([0, 0]);
     assert!(raw.ends_with(&one_by_one));
     assert_eq!(decode(&bytes, 4 * MANY as u32).unwrap(), output);
 }
 
 #[test]
-fn ids_beyond_the_scene_are_refused() {
+fn decoder_rejects_ids_beyond_scene() {
     let sets = CellSets {
-        nodes: vec![Node::Cell],
+        nodes: vec![SubtreeNode::Cell],
         cells: vec![CellSet {
             visible: vec![5],
             samples: 1,
@@ -246,7 +248,7 @@ fn ids_beyond_the_scene_are_refused() {
 }
 
 #[test]
-fn what_is_undecided_has_to_be_in_the_set() {
+fn undecided_triangles_must_be_in_set() {
     let sets = |undecided: &[u32]| {
         let decision = Some(Decision {
             undecided: undecided.to_vec(),
@@ -258,7 +260,7 @@ fn what_is_undecided_has_to_be_in_the_set() {
             ..CellSet::default()
         };
         encode(&TileOutput::Cells(CellSets {
-            nodes: vec![Node::Cell],
+            nodes: vec![SubtreeNode::Cell],
             cells: vec![cell],
             pairs: None,
             portals: Vec::new(),
@@ -273,9 +275,9 @@ fn what_is_undecided_has_to_be_in_the_set() {
     }
 }
 
-/// Four GiB of zeros have a few hundred kilobytes in zstd. No more of it is unpacked than a tile may have.
+/// Checks that unpacking stops at the limit. Four GiB of zeros have a few hundred kilobytes in zstd.
 #[test]
-fn a_bomb_is_refused() {
+fn rejects_decompression_bomb() {
     let zeros = std::io::Read::take(std::io::repeat(0), 4 << 30);
     let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
     assert!(bomb.len() < 1 << 20, "{}", bomb.len());
@@ -284,16 +286,16 @@ fn a_bomb_is_refused() {
             check(&bomb, 1000, is_pack, 1 << 20)
                 .unwrap_err()
                 .to_string()
-                .contains("kind")
+                .contains("first byte")
         );
     }
-    // With the right first byte.
+    // With the correct first byte.
     let zeros = std::io::Read::chain(&b"C"[..], std::io::Read::take(std::io::repeat(0), 4 << 30));
     let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
     assert!(
         check(&bomb, 1000, false, 1 << 20)
             .unwrap_err()
             .to_string()
-            .contains("more than its tile")
+            .contains("exceeds the tile's limit")
     );
 }

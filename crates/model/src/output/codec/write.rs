@@ -4,16 +4,17 @@ use rayon::prelude::*;
 use sightline_numbers::varint;
 
 use super::MAX_UNPACKED;
-use crate::output::{CellSet, Node, TileOutput};
+use crate::output::{CellSet, SubtreeNode, TileOutput};
 use crate::pairs::PairTable;
 
-/// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
-/// nothing smaller.
+/// Compression level. Differences between ids contain no long matches, so levels 2 and 3 are slower and do
+/// not compress better.
 const LEVEL: i32 = 1;
-/// From this number of ids on, cells are coded on all cores; below it, waiting for the cores takes longer.
+/// Minimum number of ids for which cells are encoded on all cores. For fewer ids, waiting for the cores is
+/// slower.
 pub(super) const MANY: usize = 1 << 20;
 
-/// Encodes a tile's output.
+/// Encodes a tile's output. Returns an error if the output exceeds [`MAX_UNPACKED`] or compression fails.
 pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
     let mut raw = Vec::new();
     match output {
@@ -34,7 +35,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     None => put(&mut raw, 0),
                     Some(pixels) => {
                         put(&mut raw, pixels.len() as u32);
-                        // Runs along the rows, as the paper stores its samples (2004, §4.2.2).
+                        // Runs along the rows, as in the paper (Nirenstein and Blake 2004, section 4.2.2).
                         for run in pixels.chunk_by(|a, b| a == b) {
                             put(&mut raw, run.len() as u32);
                             put(&mut raw, run[0].wrapping_add(1));
@@ -48,15 +49,15 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
             put(&mut raw, sets.nodes.len() as u32);
             for node in &sets.nodes {
                 match node {
-                    Node::Cell => raw.push(3),
-                    Node::Split(s) => {
+                    SubtreeNode::Cell => raw.push(3),
+                    SubtreeNode::Split(s) => {
                         raw.push(s.axis as u8);
                         put(&mut raw, s.at);
                     }
                 }
             }
-            // Where cells are decided exactly the cores have other work, of minutes: whoever holds a lock
-            // here would wait for it.
+            // While cells are decided exactly, the thread pool runs work that lasts minutes. A thread that
+            // holds a lock here would wait for that work.
             let sampled = sets.cells.iter().all(|c| c.decision.is_none());
             let ids: usize = sets.cells.iter().map(|c| c.visible.len()).sum();
             if sampled && ids >= MANY {
@@ -64,14 +65,14 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     .cells
                     .par_iter()
                     .map(|cell| {
-                        // Most ids take a byte.
+                        // Most ids have one byte.
                         let mut raw =
                             Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
                         put_cell(cell, &mut raw).map(|()| raw)
                     })
                     .collect::<Result<_, _>>()?;
                 raw.reserve(cells.iter().map(Vec::len).sum());
-                // Each is dropped as soon as it is copied.
+                // Each encoded cell is dropped as soon as it is copied.
                 cells
                     .into_iter()
                     .for_each(|cell| raw.extend_from_slice(&cell));
@@ -98,7 +99,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
     }
     if raw.len() as u64 > MAX_UNPACKED {
         return Err(std::io::Error::other(
-            "a tile's output is larger than can be sent; use fewer --block-cells, more cells or a larger \
+            "a tile's output exceeds 4 GiB; use fewer --block-cells, more cells or a larger \
                 --min-distance",
         ));
     }
@@ -136,7 +137,7 @@ pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io:
     Ok(())
 }
 
-/// For each cell the runs of later cells that are its pairs.
+/// Writes for each cell the runs of pairs with this cell and with cells of a larger number.
 fn put_pairs(out: &mut Vec<u8>, pairs: &PairTable) {
     (0..pairs.cells()).for_each(|cell| put_ids(out, &pairs.later(cell)));
 }
@@ -145,7 +146,7 @@ fn put(out: &mut Vec<u8>, value: u32) {
     varint::write(out, value.into());
 }
 
-/// Count, then each id's distance from the one before; ids ascend.
+/// Writes the count of ascending ids, then the distance of each id from the previous id.
 fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
     put(out, ids.len() as u32);
     let mut next = 0;

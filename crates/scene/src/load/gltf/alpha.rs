@@ -1,7 +1,7 @@
-//! What a material with `alphaMode` MASK says about the alpha of its triangles.
+//! The alpha of triangles according to a material with `alphaMode` MASK.
 //!
-//! A texel blocks if the alpha of the base colour, that of the texture times the factor, reaches the
-//! cutoff. A transform of the texture (KHR_texture_transform) is applied to the coordinates of the
+//! A texel blocks if the alpha of the base colour reaches the cutoff. This alpha is the alpha of the texture
+//! times the factor. A transform of the texture (KHR_texture_transform) is applied to the coordinates of the
 //! vertices.
 
 use serde_json::Value;
@@ -9,26 +9,28 @@ use serde_json::Value;
 use super::texels::Cutoff;
 use crate::turn;
 
-/// The reason of masked triangles, and of see-through ones when textures are not read.
+/// The reason for the kind of masked triangles, and of see-through triangles if textures are not read.
 pub(super) const MASK: &str = "alphaMode MASK";
 
-/// What a material says about the alpha of its triangles.
+/// The alpha properties of a material.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Alpha {
-    /// The texture of the base colour, if there is one.
+    /// The index of the texture of the base colour, if the material has such a texture.
     pub(super) texture: Option<usize>,
-    /// The set of texture coordinates, n of TEXCOORD_n.
+    /// The set of texture coordinates: the n of TEXCOORD_n.
     pub(super) set: u64,
     pub(super) cutoff: Cutoff,
-    /// KHR_texture_transform: the matrix of scale and rotation, row by row, then the offset.
+    /// The matrix of the scale and rotation of KHR_texture_transform, row by row. `offset` is the offset of
+    /// this transform.
     matrix: [[f64; 2]; 2],
     offset: [f64; 2],
 }
 
 impl Alpha {
-    /// The alpha of a material; the fault in words when a field is none.
+    /// Reads the alpha properties of a material. The error describes the fault of an invalid field.
     pub(super) fn read(material: &Value) -> Result<Self, String> {
-        // Of both models of a material the older extension goes first, as it says itself.
+        // If a material has both material models, the older extension has precedence, as the extension itself
+        // specifies.
         let glossy = material
             .get("extensions")
             .and_then(|e| e.get("KHR_materials_pbrSpecularGlossiness"));
@@ -46,7 +48,7 @@ impl Alpha {
             .map_or(Some(&Value::Null), |f| f.get(3));
         let cutoff = Cutoff {
             factor: number(
-                factor.ok_or("its base colour factor has no alpha")?,
+                factor.ok_or("the base colour factor has no alpha")?,
                 1.0,
                 "base colour factor",
             )?,
@@ -78,11 +80,11 @@ impl Alpha {
             .and_then(|p| p.get("texCoord"))
             .or_else(|| texture.and_then(|t| t.get("texCoord")));
         let index =
-            |v: &Value, what: &str| v.as_u64().ok_or(format!("its {what} is no index: {v}"));
+            |v: &Value, what: &str| v.as_u64().ok_or(format!("the {what} is not an index: {v}"));
         let texture = texture
             .map(|t| index(t.get("index").unwrap_or(&Value::Null), "texture").map(|i| i as usize))
             .transpose()?;
-        // Counter-clockwise where v points down, as every renderer has it (glTF issue 1563).
+        // The rotation is counter-clockwise where v points down, as in every renderer (glTF issue 1563).
         let matrix = [
             [cos * scale[0], sin * scale[1]],
             [-sin * scale[0], cos * scale[1]],
@@ -97,7 +99,8 @@ impl Alpha {
         })
     }
 
-    /// Texture coordinates of a vertex with the transform of the texture; none if they are not finite.
+    /// Applies the transform of the texture to the texture coordinates of a vertex. Returns `None` if the
+    /// result is not finite.
     pub(super) fn placed(&self, [u, v]: [f64; 2]) -> Option<[f32; 2]> {
         let along =
             |a: usize| (self.matrix[a][0] * u + self.matrix[a][1] * v + self.offset[a]) as f32;
@@ -105,13 +108,13 @@ impl Alpha {
     }
 }
 
-/// A finite number, or the default for null.
+/// Returns `value` as a finite number, or `default` for null. `what` names the value in the error.
 fn number(value: &Value, default: f64, what: &str) -> Result<f64, String> {
     match value {
         Value::Null => Ok(default),
         v => v
             .as_f64()
             .filter(|n| n.is_finite())
-            .ok_or(format!("its {what} is no finite number: {v}")),
+            .ok_or(format!("the {what} is not a finite number: {v}")),
     }
 }

@@ -1,9 +1,9 @@
-//! The bytes of the buffers and buffer views that the geometry needs, from the file itself, data URIs or
-//! files beside it.
+//! The bytes of the buffers and buffer views that the geometry needs: from the file itself, data URIs or
+//! separate files.
 //!
-//! Only buffers that a drawn primitive reaches are read, and images only when masks need them: a missing
-//! texture does not stop another bake. URIs must
-//! stay below the directory of the scene, and nothing is fetched from a network.
+//! Only buffers that a drawn primitive uses are read. Images are read only if masks need them, so a missing
+//! texture does not prevent other bakes. URIs must stay below the directory of the scene, and the loader
+//! never uses a network.
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
@@ -11,36 +11,38 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine;
 
 use super::kinds::Material;
-use super::nodes::Draw;
+use super::nodes::PlacedMesh;
 use super::source::GltfContext;
 use super::{json, meshopt, uses};
 use crate::SceneError;
-use crate::load::limits::{Limits, read_file};
+use crate::load::limits::{LoadLimits, read_file};
 
-/// Bytes to which the compressed views of any file may unpack, all together.
+/// The number of bytes to which the compressed views may unpack together, regardless of the size of the file.
 const FREE_BYTES: u64 = 64 << 20;
-/// Further bytes to which the compressed views may unpack, for each byte of the file. Indices unpack to at
-/// most twelve times their size, and vertex data to less, unless most of them are equal.
+/// The number of additional bytes to which the compressed views may unpack, per byte of the file. Indices
+/// unpack to at most twelve times their size. Vertex data unpack to less, unless most vertices are equal.
 const MAX_DENSITY: u64 = 32;
 
-/// The buffers and the decoded views that are needed; the others stay empty.
+/// The buffers and the decoded views that the geometry needs. All other entries are `None`.
 pub(super) struct Buffers<'a> {
     data: Vec<Option<Cow<'a, [u8]>>>,
     decoded: Vec<Option<Vec<u8>>>,
-    /// Bytes of the document and all buffers read, which bound the size of accessors without a buffer view.
+    /// The number of bytes of the document and all read buffers, which limits the size of accessors without a
+    /// buffer view.
     size: u64,
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads the buffers that `draws` and the buffer views `images` need. `binary` is the BIN chunk of a
-    /// GLB, which is buffer 0 when that has no address.
+    /// Reads the buffers that `draws` and the buffer views `images` need. `binary` is the BIN chunk of a GLB,
+    /// which is buffer 0 if that buffer has no URI.
     pub(super) fn read(
         source: &GltfContext<'_>,
         root: &json::Root,
         text: &[u8],
         binary: Option<&'a [u8]>,
-        draws: &[Draw],
-        (materials, images): (&[Material], &[usize]),
+        draws: &[PlacedMesh],
+        materials: &[Material],
+        images: &[usize],
     ) -> Result<Self, SceneError> {
         let mut wanted = vec![false; root.buffer_views.len()];
         let used = uses::uses(source, root, draws, materials)?;
@@ -56,7 +58,10 @@ impl<'a> Buffers<'a> {
                 match wanted.get_mut(v) {
                     Some(w) => *w = true,
                     None => {
-                        let reason = format!("it names buffer view {v} of {}", wanted.len());
+                        let reason = format!(
+                            "the accessor refers to buffer view {v}, but the file has {} buffer views",
+                            wanted.len()
+                        );
                         return Err(source.bad(format!("accessor {a}"), reason));
                     }
                 }
@@ -64,16 +69,20 @@ impl<'a> Buffers<'a> {
         }
         for mesh in used.iter().filter_map(|u| u.by.mesh()) {
             let compressed = root.meshes[mesh].primitives.iter().enumerate();
-            for (p, of) in compressed.filter_map(|(p, primitive)| Some((p, primitive.draco()?))) {
+            for (p, draco) in compressed.filter_map(|(p, primitive)| Some((p, primitive.draco()?)))
+            {
                 let views = wanted.len();
-                *wanted.get_mut(of.buffer_view).ok_or_else(|| {
-                    let by = uses::User::Primitive { mesh, primitive: p };
-                    let reason = format!("it names buffer view {} of {views}", of.buffer_view);
+                *wanted.get_mut(draco.buffer_view).ok_or_else(|| {
+                    let by = uses::AccessorUser::Primitive { mesh, primitive: p };
+                    let reason = format!(
+                        "the extension refers to buffer view {}, but the file has {views} buffer views",
+                        draco.buffer_view
+                    );
                     source.bad(format!("{by}, KHR_draco_mesh_compression"), reason)
                 })? = true;
             }
         }
-        // A view that is not there is reported with its image.
+        // The code that reads an image reports a missing view.
         for view in images {
             if let Some(w) = wanted.get_mut(*view) {
                 *w = true;
@@ -90,7 +99,10 @@ impl<'a> Buffers<'a> {
             let packed = view.meshopt();
             let buffer = packed.map_or(view.buffer, |(_, m)| m.buffer);
             let Some(b) = root.buffers.get(buffer) else {
-                let reason = format!("it names buffer {buffer} of {}", root.buffers.len());
+                let reason = format!(
+                    "the buffer view refers to buffer {buffer}, but the file has {} buffers",
+                    root.buffers.len()
+                );
                 return Err(source.bad(format!("buffer view {v}"), reason));
             };
             if this.data[buffer].is_none() {
@@ -102,12 +114,13 @@ impl<'a> Buffers<'a> {
                 let bad = |why| source.bad(format!("buffer view {v}, {extension}"), why);
                 let bytes = this.range(source, v, buffer, m.byte_offset, m.byte_length)?;
                 unpacked = unpacked.saturating_add(m.count.saturating_mul(m.byte_stride));
-                // Several views may name the same bytes.
+                // Several views may refer to the same bytes, so the size of the file does not limit the
+                // total.
                 let most = FREE_BYTES + MAX_DENSITY * this.size;
                 if unpacked > most {
                     return Err(bad(format!(
-                        "the views up to this one unpack to {unpacked} bytes, and a file of {} bytes may \
-                         have {most}",
+                        "the compressed views up to this view unpack to {unpacked} bytes, but the limit for \
+                         a file of {} bytes is {most}",
                         this.size
                     )));
                 }
@@ -118,7 +131,7 @@ impl<'a> Buffers<'a> {
         Ok(this)
     }
 
-    /// The bytes of view `v`, which must be one that was wanted.
+    /// Returns the bytes of view `v`, which must be one of the needed views.
     pub(super) fn view(
         &self,
         source: &GltfContext<'_>,
@@ -126,7 +139,10 @@ impl<'a> Buffers<'a> {
         v: usize,
     ) -> Result<&[u8], SceneError> {
         let Some(view) = root.buffer_views.get(v) else {
-            return Err(source.bad(format!("buffer view {v}"), "there is no such buffer view"));
+            return Err(source.bad(
+                format!("buffer view {v}"),
+                "the file has no buffer view with this index",
+            ));
         };
         match &self.decoded[v] {
             Some(bytes) => Ok(bytes),
@@ -134,7 +150,7 @@ impl<'a> Buffers<'a> {
         }
     }
 
-    /// Bytes of the document and all buffers read.
+    /// Returns the number of bytes of the document and all read buffers.
     pub(super) fn size(&self) -> u64 {
         self.size
     }
@@ -156,12 +172,12 @@ impl<'a> Buffers<'a> {
             .checked_add(length)
             .filter(|e| *e <= bytes.len() as u64);
         match end {
-            // Both are at most the length of a slice.
+            // Both numbers are at most the length of a slice.
             Some(end) => Ok(&bytes[offset as usize..end as usize]),
             None => Err(source.bad(
                 format!("buffer view {v}"),
                 format!(
-                    "bytes {offset} + {length} reach beyond buffer {buffer} of {} bytes",
+                    "{length} bytes from offset {offset} reach beyond buffer {buffer} of {} bytes",
                     bytes.len()
                 ),
             )),
@@ -169,7 +185,7 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// The bytes of one buffer, as many as it announces.
+/// Returns the bytes of buffer `number`, cut to the length that the buffer announces.
 fn one_buffer<'a>(
     source: &GltfContext<'_>,
     number: usize,
@@ -183,7 +199,7 @@ fn one_buffer<'a>(
             _ => {
                 return Err(source.bad(
                     element,
-                    "it has no uri and is not the binary chunk of a GLB",
+                    "the buffer has no uri and is not the binary chunk of a GLB",
                 ));
             }
         },
@@ -197,7 +213,7 @@ fn one_buffer<'a>(
     let have = bytes.len() as u64;
     if have < buffer.byte_length {
         let reason = format!(
-            "it announces {} bytes, but {have} are there (truncated?)",
+            "the buffer announces {} bytes, but only {have} bytes exist (truncated?)",
             buffer.byte_length
         );
         return Err(source.bad(element, reason));
@@ -212,18 +228,20 @@ fn one_buffer<'a>(
     })
 }
 
-/// The bytes that a URI of a glTF file means: those of a data URI, or at most `limit` bytes of a file below
-/// `base_dir`. `file` and `element` appear in errors.
+/// Reads the bytes of a URI of a glTF file: a data URI, or at most `limit` bytes of a file below `base_dir`.
+/// `file` and `element` appear in errors.
 ///
 /// # Errors
-/// [`SceneError::Bad`] when the URI is none of both, or what it means cannot be read.
+/// [`SceneError::Bad`] if the URI is neither a data URI nor a path below `base_dir`, or if its data cannot be
+/// read.
 pub fn uri_bytes(
-    (file, element): (&str, &str),
+    file: &str,
+    element: &str,
     uri: &str,
     base_dir: Option<&Path>,
     limit: u64,
 ) -> Result<Vec<u8>, SceneError> {
-    let limits = Limits::default();
+    let limits = LoadLimits::default();
     let source = GltfContext {
         file,
         base_dir,
@@ -236,13 +254,13 @@ pub fn uri_bytes(
     }
 }
 
-/// The bytes of a data URI, after `data:`.
+/// Decodes the bytes of a data URI, after `data:`.
 pub(super) fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
     let Some((head, data)) = rest.split_once(',') else {
-        return Err("its data URI has no comma".to_owned());
+        return Err("the data URI has no comma".to_owned());
     };
     if !head.ends_with(";base64") {
-        return Err("its data URI is not base64".to_owned());
+        return Err("the data URI is not base64".to_owned());
     }
     // Some exporters omit the padding.
     base64::engine::GeneralPurpose::new(
@@ -251,10 +269,10 @@ pub(super) fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
             .with_decode_padding_mode(base64::engine::DecodePaddingMode::Indifferent),
     )
     .decode(data)
-    .map_err(|e| format!("its base64 cannot be decoded: {e}"))
+    .map_err(|e| format!("the base64 of the data URI cannot be decoded: {e}"))
 }
 
-/// At most `limit` bytes of the file `uri` names relative to the scene.
+/// Reads at most `limit` bytes of the file to which `uri` refers, relative to the folder of the scene.
 pub(super) fn beside(
     source: &GltfContext<'_>,
     element: &str,
@@ -266,28 +284,30 @@ pub(super) fn beside(
         |reason: String, remedy: &str| SceneError::bad(source.file, element, reason, remedy);
     let Some(path) = relative_path(uri) else {
         return Err(refuse(
-            format!("its uri \"{shown}\" is not a plain path below the directory of the scene"),
-            "put the file beside the scene, or export as GLB",
+            format!("the uri \"{shown}\" is not a plain path below the directory of the scene"),
+            "put the file next to the scene, or export as GLB",
         ));
     };
     let Some(base) = source.base_dir else {
         return Err(refuse(
             format!(
-                "its uri \"{shown}\" names another file, and this scene did not come from a directory"
+                "the uri \"{shown}\" refers to another file, but the scene was not loaded from a \
+                 directory"
             ),
-            "export as GLB, which holds everything in one file",
+            "export as GLB, which contains everything in one file",
         ));
     };
     read_file(&base.join(path), limit).map_err(|e| match e {
         SceneError::Io { path, source: why } => refuse(
             format!("{} cannot be read: {why}", path.display()),
-            "put the file beside the scene, or export as GLB",
+            "put the file next to the scene, or export as GLB",
         ),
         other => other,
     })
 }
 
-/// A percent-encoded relative reference as a path that stays below its base; `None` for any other.
+/// Converts a percent-encoded relative URI to a path below the folder of the scene. Returns `None` for any
+/// other URI.
 fn relative_path(uri: &str) -> Option<PathBuf> {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();
@@ -302,7 +322,7 @@ fn relative_path(uri: &str) -> Option<PathBuf> {
         }
     }
     let text = String::from_utf8(bytes).ok()?;
-    // A colon is a scheme or a drive, a backslash a separator on some systems only.
+    // A colon marks a scheme or a drive, and a backslash is a separator on some systems only.
     if text.is_empty() || text.contains([':', '\\', '\0']) {
         return None;
     }

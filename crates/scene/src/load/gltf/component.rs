@@ -32,7 +32,7 @@ impl Component {
         }
     }
 
-    /// The unsigned number in the first bytes of `b`; 0 for types that are no index.
+    /// Returns the unsigned integer in the first bytes of `b`, or 0 if the type is not an unsigned integer.
     pub(super) fn unsigned(self, b: &[u8]) -> u64 {
         match (self, b) {
             (Self::U8, &[a, ..]) => u64::from(a),
@@ -42,7 +42,8 @@ impl Component {
         }
     }
 
-    /// Component `i` of an element, as a number; normalised integers as in glTF 2.0, section 3.6.2.2.
+    /// Returns component `i` of the element in the bytes `b`. Normalised integers are mapped to 0…1 or −1…1,
+    /// as in glTF 2.0, section 3.6.2.2.
     pub(super) fn number(self, b: &[u8], i: usize, normalized: bool) -> f64 {
         let b = b.get(i * self.size() as usize..).unwrap_or_default();
         let scaled = |v: f64, max: f64| if normalized { (v / max).max(-1.0) } else { v };
@@ -52,7 +53,7 @@ impl Component {
             (Self::I16, &[a, b, ..]) => scaled(f64::from(i16::from_le_bytes([a, b])), 32767.0),
             (Self::U16, &[a, b, ..]) => scaled(f64::from(u16::from_le_bytes([a, b])), 65535.0),
             (Self::F32, &[a, b, c, d, ..]) => f64::from(f32::from_le_bytes([a, b, c, d])),
-            // `Accessor::new` lets no other type be a position, nor an element be shorter than its type.
+            // `CheckedAccessor::new` rejects other types of positions, and elements shorter than their type.
             _ => f64::NAN,
         }
     }

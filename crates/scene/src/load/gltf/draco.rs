@@ -1,9 +1,9 @@
 //! Primitives compressed with KHR_draco_mesh_compression: their indices and attributes, decoded once.
 //!
-//! The accessors of such a primitive give type and number of the elements, and the decoded data replaces
-//! their buffer views, if they have any. An attribute that the extension does not list is read from its
-//! accessor as ever. The decoder is the crate `draco-core`; what it may produce is limited by the numbers of
-//! the accessors, because a few bytes can stand for millions of vertices.
+//! The accessors of such a primitive specify the type and number of the elements, and the decoded data
+//! replace their buffer views, if any. An attribute that the extension does not list is read from its
+//! accessor as usual. The decoder is the crate `draco-core`. The numbers of elements of the accessors limit
+//! the size of the decoded data, because a few bytes can represent millions of vertices.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,38 +13,38 @@ use super::buffers::Buffers;
 use super::component::Component;
 use super::json;
 use super::source::GltfContext;
-use super::uses::{Role, Use, User};
+use super::uses::{AccessorRole, AccessorUse, AccessorUser};
 use crate::SceneError;
 
-/// Most bytes of a vertex with all its attributes: 64 numbers of 8 bytes.
+/// Maximum number of bytes of a vertex with all its attributes: 64 numbers of 8 bytes.
 const MOST_VERTEX_BYTES: u64 = 512;
-/// Decoded bytes for each triangle that a scene may have, all primitives together: three vertices with
-/// positions, texture coordinates and colours, and their indices.
+/// The maximum number of decoded bytes per triangle of the triangle limit, for all primitives together: three
+/// vertices with positions, texture coordinates and colours, and their indices.
 const MOST_TRIANGLE_BYTES: u64 = 3 * (12 + 8 + 16 + 4);
 
 /// The decoded elements of an accessor, without gaps.
-pub(super) struct Elements {
+pub(super) struct DecodedElements {
     pub(super) bytes: Vec<u8>,
     pub(super) component: Component,
     pub(super) count: u64,
-    /// The buffer view and the attribute they were decoded from; no attribute for indices.
+    /// The buffer view and the attribute that the elements were decoded from. Indices have no attribute.
     from: (usize, Option<u32>),
 }
 
-/// The elements of all accessors that compressed primitives need, by role and number.
-pub(super) struct Decoded {
-    elements: BTreeMap<(usize, usize), Elements>,
-    /// Bytes that may still be decoded.
+/// The elements of all accessors that compressed primitives need, by role and index.
+pub(super) struct DecodedAccessors {
+    elements: BTreeMap<(usize, usize), DecodedElements>,
+    /// The number of bytes that may still be decoded.
     left: u64,
 }
 
-impl Decoded {
-    /// Decodes the compressed primitives among the users in `uses`.
+impl DecodedAccessors {
+    /// Decodes the compressed primitives of the meshes in `uses`.
     pub(super) fn read(
         source: &GltfContext<'_>,
         root: &json::Root,
         buffers: &Buffers<'_>,
-        uses: &[Use],
+        uses: &[AccessorUse],
     ) -> Result<Self, SceneError> {
         let left = u64::from(source.limits.triangles) * MOST_TRIANGLE_BYTES;
         let mut this = Self {
@@ -56,13 +56,14 @@ impl Decoded {
             uses.iter().map(|u| (u.role as usize, u.accessor)).collect();
         for mesh in drawn {
             for (primitive, p) in root.meshes[mesh].primitives.iter().enumerate() {
-                let Some(of) = p.draco() else { continue };
-                let by = User::Primitive { mesh, primitive };
+                let Some(draco) = p.draco() else { continue };
+                let by = AccessorUser::Primitive { mesh, primitive };
                 let element = format!("{by}, KHR_draco_mesh_compression");
                 this.add(
                     root,
-                    (p, of),
-                    buffers.view(source, root, of.buffer_view)?,
+                    p,
+                    draco,
+                    buffers.view(source, root, draco.buffer_view)?,
                     &roles,
                     source,
                 )
@@ -72,22 +73,25 @@ impl Decoded {
         Ok(this)
     }
 
-    /// The decoded elements of an accessor; `None` when it is not compressed.
-    pub(super) fn get(&self, role: Role, accessor: usize) -> Option<&Elements> {
+    /// Returns the decoded elements of an accessor, or `None` if the accessor is not compressed.
+    pub(super) fn get(&self, role: AccessorRole, accessor: usize) -> Option<&DecodedElements> {
         self.elements.get(&(role as usize, accessor))
     }
 
+    /// Decodes primitive `p` from `bytes`, and adds the elements of its accessors.
     fn add(
         &mut self,
         root: &json::Root,
-        (p, of): (&json::Primitive, &json::Draco),
+        p: &json::Primitive,
+        draco: &json::Draco,
         bytes: &[u8],
         roles: &BTreeSet<(usize, usize)>,
         source: &GltfContext<'_>,
     ) -> Result<(), String> {
         if p.mode.unwrap_or(4) != 4 {
             return Err(
-                "its mode must be 4 (triangles), which is what compression makes".to_owned(),
+                "the mode of the primitive must be 4 (triangles), the only supported mode"
+                    .to_owned(),
             );
         }
         let indices = p.indices.ok_or("the primitive has no indices")?;
@@ -96,19 +100,19 @@ impl Decoded {
             .position
             .ok_or("the primitive has no POSITION")?;
         let wanted = || {
-            let read = of
+            let read = draco
                 .attributes
                 .iter()
                 .filter_map(|(name, id)| Some((named(&p.attributes, name)?, *id)));
             read.filter(|((role, a), _)| roles.contains(&(*role as usize, *a)))
         };
-        // Primitives may share all of it.
+        // Several primitives may share all of their data.
         let has = |role, accessor, from| {
             self.get(role, accessor)
-                .is_some_and(|e: &Elements| e.from == from)
+                .is_some_and(|e: &DecodedElements| e.from == from)
         };
-        if has(Role::Indices, indices, (of.buffer_view, None))
-            && wanted().all(|((role, a), id)| has(role, a, (of.buffer_view, Some(id))))
+        if has(AccessorRole::Indices, indices, (draco.buffer_view, None))
+            && wanted().all(|((role, a), id)| has(role, a, (draco.buffer_view, Some(id))))
         {
             return Ok(());
         }
@@ -127,50 +131,52 @@ impl Decoded {
                 &mut DecoderBuffer::new(bytes).with_limits(limits),
                 &mut mesh,
             )
-            .map_err(|e| format!("it cannot be decoded: {e}"))?;
+            .map_err(|e| format!("the compressed data cannot be decoded: {e}"))?;
         let corners = mesh.faces().iter().flatten();
-        let elements = Elements {
+        let elements = DecodedElements {
             bytes: corners.flat_map(|point| point.0.to_le_bytes()).collect(),
             component: Component::U32,
             count: mesh.num_faces() as u64 * 3,
-            from: (of.buffer_view, None),
+            from: (draco.buffer_view, None),
         };
         self.insert(
-            (Role::Indices, indices),
+            AccessorRole::Indices,
+            indices,
             elements,
             root.accessors.get(indices),
         )?;
         for ((role, accessor), id) in wanted() {
-            let elements = attribute(&mesh, id, root, (role, accessor), of.buffer_view)
+            let elements = attribute(&mesh, id, root, role, accessor, draco.buffer_view)
                 .map_err(|why| format!("attribute {id}: {why}"))?;
-            self.insert((role, accessor), elements, root.accessors.get(accessor))?;
+            self.insert(role, accessor, elements, root.accessors.get(accessor))?;
         }
         Ok(())
     }
 
     fn insert(
         &mut self,
-        (role, accessor): (Role, usize),
-        elements: Elements,
+        role: AccessorRole,
+        accessor: usize,
+        elements: DecodedElements,
         given: Option<&json::Accessor>,
     ) -> Result<(), String> {
         let (count, sparse) = given.map_or((0, false), |a| (a.count, a.sparse.is_some()));
         if elements.count != count {
             return Err(format!(
-                "accessor {accessor} has {count} elements, and {} were decoded",
+                "accessor {accessor} has {count} elements, but {} were decoded",
                 elements.count
             ));
         }
         if sparse {
             return Err(format!(
-                "accessor {accessor} is sparse, which a compressed one cannot be"
+                "accessor {accessor} is sparse, but its primitive is compressed"
             ));
         }
         let bytes = elements.bytes.len() as u64;
         self.left = self
             .left
             .checked_sub(bytes)
-            .ok_or("the compressed primitives are too large together")?;
+            .ok_or("together, the compressed primitives are too large")?;
         let before = self
             .elements
             .get(&(role as usize, accessor))
@@ -185,29 +191,31 @@ impl Decoded {
     }
 }
 
-/// The role and the accessor of an attribute by its name; `None` for one that is not read.
-fn named(attributes: &json::Attributes, name: &str) -> Option<(Role, usize)> {
+/// Returns the role and the accessor index of the attribute `name`, or `None` if the loader does not read
+/// this attribute.
+fn named(attributes: &json::Attributes, name: &str) -> Option<(AccessorRole, usize)> {
     match name {
-        "POSITION" => Some((Role::Positions, attributes.position?)),
-        "COLOR_0" => Some((Role::Colors, attributes.color_0?)),
+        "POSITION" => Some((AccessorRole::Positions, attributes.position?)),
+        "COLOR_0" => Some((AccessorRole::Colors, attributes.color_0?)),
         _ => {
             let set = name.strip_prefix("TEXCOORD_")?.parse().ok()?;
-            Some((Role::Coordinates, attributes.coordinates(set)?))
+            Some((AccessorRole::Coordinates, attributes.coordinates(set)?))
         }
     }
 }
 
-/// An attribute of a decoded mesh, one element for each point.
+/// Returns the attribute `id` of a decoded mesh, one element for each point.
 fn attribute(
     mesh: &Mesh,
     id: u32,
     root: &json::Root,
-    (role, accessor): (Role, usize),
+    role: AccessorRole,
+    accessor: usize,
     view: usize,
-) -> Result<Elements, String> {
+) -> Result<DecodedElements, String> {
     let found = mesh
         .attribute_by_unique_id(id)
-        .ok_or_else(|| format!("there is no attribute {id}"))?;
+        .ok_or_else(|| format!("the compressed data have no attribute {id}"))?;
     let component = match found.data_type() {
         DataType::Int8 => Component::I8,
         DataType::Uint8 => Component::U8,
@@ -230,16 +238,18 @@ fn attribute(
     }
     let size = (component.size() * components) as usize;
     let data = found.buffer().data();
-    let stride = usize::try_from(found.byte_stride()).map_err(|_| "its stride is negative")?;
+    let stride = usize::try_from(found.byte_stride()).map_err(|_| "the stride is negative")?;
     let mut bytes = Vec::with_capacity(mesh.num_points().saturating_mul(size));
     for point in 0..mesh.num_points() as u32 {
         let value = found.mapped_index(PointIndex(point)).0 as usize;
         let at = value
             .checked_mul(stride)
             .and_then(|at| data.get(at..)?.get(..size));
-        bytes.extend_from_slice(at.ok_or_else(|| format!("it has no value for vertex {point}"))?);
+        bytes.extend_from_slice(
+            at.ok_or_else(|| format!("the attribute has no value for vertex {point}"))?,
+        );
     }
-    Ok(Elements {
+    Ok(DecodedElements {
         bytes,
         component,
         count: mesh.num_points() as u64,

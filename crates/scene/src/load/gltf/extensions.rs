@@ -16,8 +16,8 @@ pub enum Support {
     Read,
     /// The extension does not affect which triangles block or show.
     Irrelevant,
-    /// The extension changes triangles, and the loader does not read it. A file that requires it is rejected;
-    /// a file that only uses it gives a warning.
+    /// The extension changes triangles, and the loader does not read it. The loader rejects a file that
+    /// requires the extension, and warns about a file that only uses the extension.
     Refused,
 }
 
@@ -35,9 +35,10 @@ impl Support {
 /// An extension, or a family of extensions, and its treatment.
 #[derive(Clone, Copy, Debug)]
 pub struct Extension {
-    /// The name. A name that ends in `*` stands for all extensions with this prefix that no other row names.
+    /// The name of the extension. A name that ends in `*` represents all extensions with this prefix that no
+    /// other row names.
     pub name: &'static str,
-    /// The treatment.
+    /// The treatment of the extension.
     pub support: Support,
     /// The part that the loader reads, or the reason for the treatment.
     pub note: &'static str,
@@ -51,8 +52,8 @@ const fn row(name: &'static str, support: Support, note: &'static str) -> Extens
     }
 }
 
-/// The extensions that the loader knows: every ratified Khronos extension, common multi-vendor ones and a few
-/// of vendors.
+/// The extensions that the loader knows: every ratified Khronos extension, common multi-vendor extensions and
+/// some vendor extensions.
 pub const EXTENSIONS: &[Extension] = {
     use Support::{Irrelevant, Read, Refused};
     const SHADING: &str = "shading";
@@ -193,10 +194,11 @@ pub const EXTENSIONS: &[Extension] = {
     ]
 };
 
-/// Maximum number of extensions that a warning names each on its own.
+/// Maximum number of extensions that each get a separate warning.
 const MOST_NAMED: usize = 16;
 
-/// Returns the row of an extension: the row with its name, otherwise the row of its family.
+/// Returns the row with the extension's name, otherwise the row of its family, or `None` for an unknown
+/// extension.
 fn find(name: &str) -> Option<&'static Extension> {
     let family = |e: &&Extension| {
         e.name
@@ -226,8 +228,8 @@ pub(super) fn check(
         return Err(SceneError::bad(
             source.file,
             "extensionsRequired",
-            format!("it needs the extension {shown}, which is not supported"),
-            format!("export it again without {shown}"),
+            format!("the file requires the extension {shown}, which is not supported"),
+            format!("export the scene again without {shown}"),
         ));
     }
     let unread: BTreeSet<&str> = root
@@ -242,8 +244,8 @@ pub(super) fn check(
             None => "is unknown to this program".to_owned(),
         };
         marks.warn(format!(
-            "the file uses the extension {}, which {reason}; if it changes which triangles block or show, \
-             export again without it",
+            "the file uses the extension {}, which {reason}; if the extension changes which triangles \
+             block or show, export again without it",
             shown(name)
         ));
     }
@@ -256,7 +258,7 @@ pub(super) fn check(
     Ok(())
 }
 
-/// Returns the start of an extension's name as it appears in messages.
+/// Returns the first 80 characters of an extension's name, for messages.
 fn shown(name: &str) -> String {
     name.chars().take(80).collect()
 }

@@ -1,5 +1,5 @@
 //! Textures, images and samplers of a glTF file, and the bytes of images: in a buffer view, a data URI or a
-//! file beside the scene. They are read only when a mask needs them.
+//! separate file. Images are read only if a mask needs them.
 
 use std::borrow::Cow;
 
@@ -11,12 +11,12 @@ use super::json;
 use super::source::GltfContext;
 use super::texels::MOST_TEXELS;
 use crate::SceneError;
-use crate::masks::Wrap;
+use crate::masks::WrapMode;
 
-/// Most bytes of an image file: eight a texel.
+/// Maximum size of an image file in bytes: eight per texel.
 const MOST_BYTES: u64 = 8 * MOST_TEXELS;
 
-/// The part of a glTF document that says where textures are. Indices are as the file gives them.
+/// The arrays of a glTF document that describe textures. Indices are unchecked values from the file.
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Document {
     #[serde(default)]
@@ -49,35 +49,35 @@ struct Sampler {
     wrap_t: Option<u32>,
 }
 
-/// The image of a texture, and how the texture wraps.
+/// The image of a texture, and the wrap modes of the texture.
 pub(super) struct Image<'a> {
     number: usize,
     field: &'a ImageField,
-    pub(super) wrap: [Wrap; 2],
+    pub(super) wrap: [WrapMode; 2],
 }
 
 impl Document {
-    /// The textures of a document.
+    /// Reads the textures of a document.
     pub(super) fn read(source: &GltfContext<'_>, json: &[u8]) -> Result<Self, SceneError> {
         serde_json::from_slice(json).map_err(|e| source.bad("glTF JSON, textures", e.to_string()))
     }
 
-    /// The buffer views of the images of these textures, as far as there are such images.
+    /// Returns the indices of the buffer views that contain images of `textures`. Skips textures whose image
+    /// is not in a buffer view.
     pub(super) fn views(&self, textures: impl Iterator<Item = usize>) -> Vec<usize> {
         textures
             .filter_map(|t| self.image(t).ok()?.field.buffer_view)
             .collect()
     }
 
-    /// The image of a texture; the fault in words when it has none that is there.
+    /// Returns the image of the texture with index `texture`. The error describes the fault of the texture.
     pub(super) fn image(&self, texture: usize) -> Result<Image<'_>, String> {
         let count = self.textures.len();
-        let texture_entry = self
-            .textures
-            .get(texture)
-            .ok_or(format!("there are {count} textures"))?;
+        let texture_entry = self.textures.get(texture).ok_or(format!(
+            "the texture does not exist, because the file has {count} textures"
+        ))?;
         let number = texture_entry.source.ok_or_else(|| {
-            // Images of other formats are in an extension. Many files have a PNG or JPEG beside them.
+            // Images of other formats are in an extension. Many files also contain a PNG or JPEG.
             let extensions = texture_entry.extensions.as_ref().and_then(Value::as_object);
             let names: Vec<String> = extensions
                 .into_iter()
@@ -85,31 +85,29 @@ impl Document {
                 .cloned()
                 .collect();
             match names.is_empty() {
-                true => "it names no image".to_owned(),
+                true => "the texture refers to no image".to_owned(),
                 false => {
                     let shown: String = names.join(", ").chars().take(80).collect();
-                    format!("it has an image for {shown} alone, and PNG and JPEG are read")
+                    format!("the texture has only an image for {shown}; supported formats are PNG and JPEG")
                 }
             }
         })?;
         let count = self.images.len();
-        let field = self
-            .images
-            .get(number)
-            .ok_or(format!("it names image {number} of {count}"))?;
+        let field = self.images.get(number).ok_or(format!(
+            "the texture refers to image {number}, but the file has {count} images"
+        ))?;
         let sampler = match texture_entry.sampler {
             None => None,
-            Some(s) => Some(
-                self.samplers
-                    .get(s)
-                    .ok_or(format!("it names sampler {s} of {}", self.samplers.len()))?,
-            ),
+            Some(s) => Some(self.samplers.get(s).ok_or(format!(
+                "the texture refers to sampler {s}, but the file has {} samplers",
+                self.samplers.len()
+            ))?),
         };
         let wrap = |mode: Option<u32>| match mode {
-            None | Some(10497) => Ok(Wrap::Repeat),
-            Some(33648) => Ok(Wrap::Mirror),
-            Some(33071) => Ok(Wrap::Clamp),
-            Some(other) => Err(format!("its sampler has the unknown wrap mode {other}")),
+            None | Some(10497) => Ok(WrapMode::Repeat),
+            Some(33648) => Ok(WrapMode::Mirror),
+            Some(33071) => Ok(WrapMode::Clamp),
+            Some(other) => Err(format!("the sampler has the unknown wrap mode {other}")),
         };
         let wrap = [
             wrap(sampler.and_then(|s| s.wrap_s))?,
@@ -124,7 +122,7 @@ impl Document {
 }
 
 impl<'a> Image<'a> {
-    /// Its number and name, or the name of its file.
+    /// Returns the image's index with the URI or the name of the image, for errors.
     pub(super) fn label(&self) -> String {
         let uri = self
             .field
@@ -141,7 +139,7 @@ impl<'a> Image<'a> {
         }
     }
 
-    /// The bytes of the image file.
+    /// Returns the bytes of the image file. `element` is the name of the image in errors.
     pub(super) fn bytes(
         &self,
         source: &GltfContext<'_>,
@@ -155,7 +153,7 @@ impl<'a> Image<'a> {
                 Some(data) => buffers::decode_data(data).map_err(|why| source.bad(element, why))?,
                 None => buffers::beside(source, element, uri, MOST_BYTES)?,
             })),
-            _ => Err(source.bad(element, "it must have either a uri or a buffer view")),
+            _ => Err(source.bad(element, "the image must have either a uri or a buffer view")),
         }
     }
 }

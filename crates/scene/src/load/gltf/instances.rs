@@ -1,23 +1,23 @@
-//! Instances of a node's mesh (EXT_mesh_gpu_instancing): one draw for each.
+//! Instances of a node's mesh (EXT_mesh_gpu_instancing): one placed mesh for each instance.
 
 use glam::DAffine3;
 
 use super::accessor::Accessors;
 use super::json::{self, InstanceAttributes};
-use super::nodes::Draw;
+use super::nodes::PlacedMesh;
 use super::source::GltfContext;
 use super::transform;
-use super::uses::{Role, User};
+use super::uses::{AccessorRole, AccessorUser};
 use crate::SceneError;
 use crate::load::limits::too_many_objects;
 
-/// Replaces each draw of a node with instances by one draw for each instance, in their order.
+/// Replaces the placed mesh of each node with instances by one placed mesh for each instance, in their order.
 pub(super) fn expand(
     source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
-    draws: Vec<Draw>,
-) -> Result<Vec<Draw>, SceneError> {
+    draws: Vec<PlacedMesh>,
+) -> Result<Vec<PlacedMesh>, SceneError> {
     if draws
         .iter()
         .all(|d| root.nodes[d.node].instances().is_none())
@@ -30,7 +30,7 @@ pub(super) fn expand(
             all.push(draw);
             continue;
         };
-        let element = User::Instances { node: draw.node }.to_string();
+        let element = AccessorUser::Instances { node: draw.node }.to_string();
         let count =
             count(accessors, attributes).map_err(|why| source.bad(element.as_str(), why))?;
         if all.len() as u64 + count > u64::from(source.limits.objects) {
@@ -44,10 +44,12 @@ pub(super) fn expand(
             let world = world.ok_or_else(|| {
                 source.bad(
                     element.as_str(),
-                    format!("the transform of instance {i} is no finite rotation and scale"),
+                    format!(
+                        "the transform of instance {i} is not finite, or its rotation has no length"
+                    ),
                 )
             })?;
-            all.push(Draw {
+            all.push(PlacedMesh {
                 instance: Some(i),
                 world,
                 ..draw.clone()
@@ -57,31 +59,32 @@ pub(super) fn expand(
     Ok(all)
 }
 
-/// The number of instances, which all attributes agree on.
+/// Returns the number of instances, which must be equal for all attributes.
 fn count(accessors: &Accessors<'_>, attributes: &InstanceAttributes) -> Result<u64, String> {
     let offsets = [attributes.translation, attributes.scale]
         .into_iter()
         .flatten()
-        .map(|a| (Role::Offsets, a));
-    let all = offsets.chain(attributes.rotation.map(|a| (Role::Rotations, a)));
+        .map(|a| (AccessorRole::Offsets, a));
+    let all = offsets.chain(attributes.rotation.map(|a| (AccessorRole::Rotations, a)));
     let mut counts = all.map(|(role, a)| accessors.get(role, a).count());
     let first = counts
         .next()
-        .ok_or("it has neither TRANSLATION, ROTATION nor SCALE")?;
+        .ok_or("the extension has neither TRANSLATION, ROTATION nor SCALE")?;
     match counts.find(|n| *n != first) {
         Some(other) => Err(format!(
-            "its attributes have {first} and {other} elements, and must have the same number"
+            "the attributes have {first} and {other} elements, but must have the same number"
         )),
         None => Ok(first),
     }
 }
 
-/// The transform of an instance relative to its node; none if the rotation is no quaternion.
+/// Computes the transform of instance `i` relative to its node. Returns `None` if [`transform::compose`]
+/// rejects the rotation.
 fn local(accessors: &Accessors<'_>, attributes: &InstanceAttributes, i: u64) -> Option<DAffine3> {
-    let offset = |a: Option<usize>| a.map(|a| accessors.get(Role::Offsets, a).position(i));
+    let offset = |a: Option<usize>| a.map(|a| accessors.get(AccessorRole::Offsets, a).position(i));
     let rotation = attributes
         .rotation
-        .map(|a| accessors.get(Role::Rotations, a).quaternion(i));
+        .map(|a| accessors.get(AccessorRole::Rotations, a).quaternion(i));
     transform::compose(
         offset(attributes.translation),
         rotation,

@@ -1,7 +1,7 @@
-//! The fields of a glTF document that decide its triangles (glTF 2.0 specification, section 5). All others
-//! are skipped.
+//! The fields of a glTF document that determine its triangles (glTF 2.0 specification, section 5). All other
+//! fields are skipped.
 //!
-//! Only JSON types are checked here: indices, counts and offsets are as the file gives them.
+//! Only JSON types are checked here. Indices, counts and offsets are unchecked values from the file.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,8 @@ pub(super) struct Root {
     pub(super) nodes: Vec<Node>,
     #[serde(default)]
     pub(super) meshes: Vec<Mesh>,
-    /// Of materials and animations any JSON is read, so that a fault there does not refuse the scene.
+    /// The materials as any JSON, so that a fault in a material does not make the scene unreadable. The same
+    /// applies to the animations.
     #[serde(default)]
     pub(super) materials: Vec<Value>,
     #[serde(default)]
@@ -60,10 +61,10 @@ pub(super) struct Node {
     pub(super) skin: Option<Value>,
     pub(super) extensions: Option<Box<NodeExtensions>>,
     pub(super) extras: Option<Box<Value>>,
-    /// Column-major. Boxed, as few nodes have one.
+    /// The column-major matrix. Boxed, because few nodes have one.
     pub(super) matrix: Option<Box<[f64; 16]>>,
     pub(super) translation: Option<Box<[f64; 3]>>,
-    /// Quaternion x, y, z, w.
+    /// The quaternion x, y, z, w.
     pub(super) rotation: Option<Box<[f64; 4]>>,
     pub(super) scale: Option<Box<[f64; 3]>>,
 }
@@ -76,7 +77,7 @@ pub(super) struct NodeExtensions {
     pub(super) visibility: Option<Visibility>,
 }
 
-/// The visibility of a node and of everything below it (KHR_node_visibility).
+/// The visibility of a node and of its descendants (KHR_node_visibility).
 #[derive(Debug, Deserialize)]
 pub(super) struct Visibility {
     pub(super) visible: Option<bool>,
@@ -88,7 +89,7 @@ pub(super) struct Instancing {
     pub(super) attributes: InstanceAttributes,
 }
 
-/// The accessors of the instances' transforms.
+/// The indices of the accessors of the instances' transforms.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) struct InstanceAttributes {
@@ -98,12 +99,12 @@ pub(super) struct InstanceAttributes {
 }
 
 impl Node {
-    /// The instances of the node's mesh, if the node has some.
+    /// Returns the instances of the node's mesh, if the node has instances.
     pub(super) fn instances(&self) -> Option<&InstanceAttributes> {
         Some(&self.extensions.as_ref()?.instancing.as_ref()?.attributes)
     }
 
-    /// Returns true if the node hides itself and everything below it.
+    /// Returns true if the node hides itself and its descendants.
     pub(super) fn is_hidden(&self) -> bool {
         let visibility = self.extensions.as_ref().and_then(|e| e.visibility.as_ref());
         visibility.is_some_and(|v| v.visible == Some(false))
@@ -127,7 +128,7 @@ pub(super) struct Primitive {
 }
 
 impl Primitive {
-    /// Its compressed data, if it is compressed.
+    /// Returns the primitive's Draco data, or `None` if the primitive is not compressed.
     pub(super) fn draco(&self) -> Option<&Draco> {
         self.extensions.as_ref()?.draco.as_ref()
     }
@@ -144,7 +145,7 @@ pub(super) struct PrimitiveExtensions {
 #[serde(rename_all = "camelCase")]
 pub(super) struct Draco {
     pub(super) buffer_view: usize,
-    /// By the name of a glTF attribute the id of the attribute in the compressed data.
+    /// The ids of the attributes in the compressed data, by the names of the glTF attributes.
     #[serde(default)]
     pub(super) attributes: BTreeMap<String, u32>,
 }
@@ -166,7 +167,7 @@ pub(super) struct Attributes {
 }
 
 impl Attributes {
-    /// The accessor of a set of texture coordinates. Of these the first four can be named.
+    /// Returns the index of the accessor of texture coordinate set `set`. Only sets 0 to 3 are supported.
     pub(super) fn coordinates(&self, set: u64) -> Option<usize> {
         [
             self.texcoord_0,
@@ -179,7 +180,8 @@ impl Attributes {
     }
 }
 
-/// An index, or none for any other JSON: a fault in an attribute that most scenes do not need refuses none.
+/// Reads an index, or `None` for any other JSON, so that a fault in an attribute that most scenes do not need
+/// is ignored.
 fn index<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<usize>, D::Error> {
     Ok(Value::deserialize(from)?
         .as_u64()
@@ -245,7 +247,7 @@ pub(super) struct ViewExtensions {
 }
 
 impl BufferView {
-    /// Returns the compressed data of the view and the name of their extension, if the view is compressed.
+    /// Returns the name of the compression extension and its data, or `None` if the view is not compressed.
     pub(super) fn meshopt(&self) -> Option<(&'static str, &MeshoptView)> {
         let extensions = self.extensions.as_ref()?;
         let [khr, ext] = MESHOPT;

@@ -1,21 +1,23 @@
 //! The kinds and sides of a glTF file's triangles: from materials, animations, skins and extras.
 //!
-//! A material with `alphaMode` MASK or BLEND, or with transmission, is see-through; one with MASK is masked
-//! when textures are read. The mesh of a node that an animation moves, shows or hides, or that has such an
-//! ancestor, and a skinned mesh are moving. `extras.sightline` with the fields `blocks` and `shows` goes
-//! before both; of several the one nearest to the triangles counts, for each field: that of the material,
-//! then of the mesh, the node, and the node's ancestors. The mesh of a hidden node is hidden, regardless of
-//! other properties in the file.
+//! - A material with `alphaMode` MASK or BLEND, or with transmission, is see-through. A material with MASK is
+//!   masked instead if alpha textures are read.
+//! - A skinned mesh is moving. The mesh of a node is moving if an animation moves, shows or hides the node or
+//!   one of its ancestors.
+//! - `extras.sightline` with the fields `blocks` and `shows` has precedence over materials, skins and
+//!   animations. For each field, the extras nearest to the triangles apply: the extras of the material, then
+//!   of the mesh, the node, and the node's ancestors.
+//! - The mesh of a hidden node is hidden, regardless of other properties in the file.
 
 use serde_json::Value;
 
 use super::alpha::{Alpha, MASK};
 use super::json;
 use super::source::{GltfContext, VISIBILITY};
-use crate::kinds::Kind;
+use crate::kinds::SurfaceKind;
 use crate::load::marks::{Mark, Marks};
 
-/// The fields of `extras.sightline`, where they are given.
+/// The fields of `extras.sightline`. A missing field is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Extras {
     blocks: Option<bool>,
@@ -23,7 +25,7 @@ pub(super) struct Extras {
 }
 
 impl Extras {
-    /// These fields, and those of `outer` where they are not given.
+    /// Returns these fields, and the fields of `outer` in place of missing fields.
     pub(super) fn or(self, outer: Self) -> Self {
         Self {
             blocks: self.blocks.or(outer.blocks),
@@ -31,7 +33,7 @@ impl Extras {
         }
     }
 
-    /// The fields of an element's extras. `element` names it in warnings.
+    /// Reads the fields of an element's extras. `element` returns the element's name in warnings.
     pub(super) fn read(
         extras: Option<&Value>,
         element: impl Fn() -> String,
@@ -43,7 +45,7 @@ impl Extras {
         };
         let Some(fields) = own.as_object() else {
             marks.warn(format!(
-                "{}: extras.sightline is no object; give {{\"blocks\": …, \"shows\": …}}",
+                "{}: extras.sightline is not an object; give {{\"blocks\": …, \"shows\": …}}",
                 element()
             ));
             return out;
@@ -55,7 +57,8 @@ impl Extras {
                 _ => {
                     let shown: String = key.chars().take(40).collect();
                     marks.warn(format!(
-                        "{}: extras.sightline has the unknown field {shown:?}; it can have blocks and shows",
+                        "{}: extras.sightline has the unknown field {shown:?}; valid fields are blocks \
+                         and shows",
                         element()
                     ));
                     continue;
@@ -64,7 +67,7 @@ impl Extras {
             *field = value.as_bool();
             if field.is_none() {
                 marks.warn(format!(
-                    "{}: extras.sightline.{key} is neither true nor false",
+                    "{}: extras.sightline.{key} is neither true nor false, and is ignored",
                     element()
                 ));
             }
@@ -73,19 +76,20 @@ impl Extras {
     }
 }
 
-/// The part of a material that decides the kind and the sides of its triangles.
+/// The properties of a material that determine the kind and the sides of its triangles.
 pub(super) struct Material {
     pub(super) name: String,
-    /// Its number and name in errors.
+    /// The material's index and name, for errors.
     pub(super) label: String,
     pub(super) double_sided: bool,
     see_through: Option<&'static str>,
-    /// What a material with a mask says about alpha, or the fault in it; only when textures are read.
+    /// The alpha properties of a material with `alphaMode` MASK, or a description of their fault. `None` for
+    /// other materials, and if textures are not read.
     pub(super) alpha: Option<Result<Alpha, String>>,
     extras: Extras,
 }
 
-/// The materials of a file.
+/// Reads the materials of a file.
 pub(super) fn materials(
     source: &GltfContext<'_>,
     root: &json::Root,
@@ -160,7 +164,8 @@ impl Animations {
     }
 }
 
-/// Returns the properties of each node itself that animations change; its descendants change with it.
+/// Returns the properties that animations change, for each node. The result does not include changes that
+/// descendants inherit from a node.
 pub(super) fn animations(root: &json::Root) -> Vec<Animations> {
     let mut all = vec![Animations::default(); root.nodes.len()];
     let channels = root
@@ -198,7 +203,7 @@ pub(super) fn animations(root: &json::Root) -> Vec<Animations> {
     all
 }
 
-/// The material of a primitive, if it has one that is there.
+/// Returns the material of a primitive, or `None` if the primitive refers to no existing material.
 pub(super) fn material_of<'a>(
     primitive: &json::Primitive,
     materials: &'a [Material],
@@ -211,7 +216,7 @@ pub(super) fn material_of<'a>(
         .and_then(|m| materials.get(usize::try_from(m).ok()?));
     if found.is_none() {
         marks.warn(format!(
-            "{}: it names material {given} of {}",
+            "{}: the primitive refers to material {given}, but the file has {} materials",
             label(),
             materials.len()
         ));
@@ -219,7 +224,7 @@ pub(super) fn material_of<'a>(
     found
 }
 
-/// What the material of a primitive says about alpha, when textures are read and it has a mask.
+/// Returns the alpha properties of a primitive's material, if textures are read and the material has a mask.
 pub(super) fn alpha_of<'a>(
     primitive: &json::Primitive,
     materials: &'a [Material],
@@ -233,24 +238,26 @@ pub(super) fn alpha_of<'a>(
         .ok()
 }
 
-/// Returns the mark of a primitive's triangles: [`Kind::Masked`] if their mask is to be read.
+/// Returns the mark of a primitive's triangles, which has [`SurfaceKind::Masked`] if their mask must be read.
 ///
-/// `node` holds the extras of the node and its ancestors.
+/// `node` contains the extras of the node and its ancestors.
 pub(super) fn mark(
-    (skinned, animated): (bool, bool),
-    (node, mesh): (Extras, Extras),
+    skinned: bool,
+    animated: bool,
+    node: Extras,
+    mesh: Extras,
     material: Option<&Material>,
 ) -> Mark {
     let file = if skinned {
-        Mark::of(Kind::Moving, "skinned mesh")
+        Mark::new(SurfaceKind::Moving, "skinned mesh")
     } else if animated {
-        Mark::of(Kind::Moving, "animated node")
+        Mark::new(SurfaceKind::Moving, "animated node")
     } else if let Some((m, reason)) = material.and_then(|m| Some((m, m.see_through?))) {
-        Mark::of(
+        Mark::new(
             if m.alpha.is_some() {
-                Kind::Masked
+                SurfaceKind::Masked
             } else {
-                Kind::SeeThrough
+                SurfaceKind::SeeThrough
             },
             reason,
         )
@@ -262,9 +269,9 @@ pub(super) fn mark(
         .unwrap_or_default()
         .or(mesh)
         .or(node);
-    // Extras that leave open whether it blocks, and let it show, say nothing against a mask.
+    // Extras that do not set `blocks`, and do not set `shows` to false, are compatible with a mask.
     let masked =
-        file.kind == Kind::Masked && extras.blocks.is_none() && extras.shows != Some(false);
+        file.kind == SurfaceKind::Masked && extras.blocks.is_none() && extras.shows != Some(false);
     if extras == Extras::default() || masked {
         return file;
     }
@@ -272,5 +279,5 @@ pub(super) fn mark(
         extras.blocks.unwrap_or(file.kind.blocks()),
         extras.shows.unwrap_or(file.kind.shows()),
     );
-    Mark::of(Kind::of(blocks, shows), "extras.sightline")
+    Mark::new(SurfaceKind::new(blocks, shows), "extras.sightline")
 }

@@ -8,43 +8,44 @@ use super::{json, transform};
 use crate::SceneError;
 use crate::load::marks::Marks;
 
-/// A mesh and the transform of a node that has it.
+/// A mesh with the transform of a node that uses it.
 #[derive(Clone, Debug)]
-pub(super) struct Draw {
+pub(super) struct PlacedMesh {
     pub(super) node: usize,
-    /// The number of the instance, of a node with instances.
+    /// The index of the instance, if the node has instances.
     pub(super) instance: Option<u64>,
     pub(super) mesh: usize,
     pub(super) world: DAffine3,
-    /// True if an animation moves the node or an ancestor, or changes the visibility of one.
+    /// True if an animation moves the node or an ancestor, or changes the visibility of such a node.
     pub(super) animated: bool,
-    /// True if the node or an ancestor is hidden, and no animation shows it.
+    /// True if the node or an ancestor is hidden, and no animation changes the visibility of this node.
     pub(super) hidden: bool,
-    /// Whether a skin deforms the mesh.
+    /// True if a skin deforms the mesh.
     pub(super) skinned: bool,
     /// The extras of the node and its ancestors.
     pub(super) extras: Extras,
 }
 
-impl Draw {
-    /// Whether its transform turns the winding around: front faces are wound counter-clockwise when the
-    /// determinant is positive, else clockwise (glTF 2.0, section 3.7.4).
+impl PlacedMesh {
+    /// Returns true if the transform reverses the winding. Front faces are wound counter-clockwise if the
+    /// determinant is positive, otherwise clockwise (glTF 2.0, section 3.7.4).
     pub(super) fn mirrors(&self) -> bool {
         let determinant = self.world.matrix3.determinant();
         determinant.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater)
     }
 }
 
-/// All draws of the scene to show: the default one, else the first, else (without scenes) every root node.
+/// Lists the meshes that the shown scene places. The shown scene is the default scene, otherwise the first
+/// scene or (without scenes) every root node.
 ///
-/// The stack is explicit, so that a deep hierarchy takes memory in proportion to the file and does not
-/// overflow the call stack. Each node is visited at most once: the format allows it one parent, which also
+/// The stack is explicit, so a deep hierarchy needs memory in proportion to the file and does not overflow
+/// the call stack. Each node is visited at most once: the format allows one parent per node, which also
 /// excludes cycles.
 pub(super) fn walk(
     source: &GltfContext<'_>,
     root: &json::Root,
     marks: &mut Marks,
-) -> Result<Vec<Draw>, SceneError> {
+) -> Result<Vec<PlacedMesh>, SceneError> {
     let roots = roots(source, root)?;
     let mut met = vec![false; root.nodes.len()];
     let mut draws = Vec::new();
@@ -57,11 +58,15 @@ pub(super) fn walk(
         let Some(node) = root.nodes.get(n) else {
             return Err(source.bad(
                 element,
-                format!("it is named, but there are {} nodes", root.nodes.len()),
+                format!(
+                    "the scene or a node refers to this node, but the file has {} nodes",
+                    root.nodes.len()
+                ),
             ));
         };
         if std::mem::replace(&mut met[n], true) {
-            let reason = "it is reached twice: the nodes form a cycle, or it has two parents";
+            let reason =
+                "the node is reached twice: the nodes form a cycle, or the node has two parents";
             return Err(source.bad(element, reason));
         }
         let local = transform::local(node).map_err(|why| source.bad(element.as_str(), why))?;
@@ -73,7 +78,7 @@ pub(super) fn walk(
         if !world.is_finite() {
             return Err(source.bad(
                 element,
-                "its transform, with those of its parents, is not finite",
+                "the transform, combined with the transforms of the ancestors, is not finite",
             ));
         }
         let animated = moves || animations[n].any();
@@ -81,11 +86,14 @@ pub(super) fn walk(
         let extras = Extras::read(node.extras.as_deref(), || element.clone(), marks).or(outer);
         if let Some(mesh) = node.mesh {
             if mesh >= root.meshes.len() {
-                let reason = format!("it names mesh {mesh} of {}", root.meshes.len());
+                let reason = format!(
+                    "the node refers to mesh {mesh}, but the file has {} meshes",
+                    root.meshes.len()
+                );
                 return Err(source.bad(element, reason));
             }
             let skinned = node.skin.is_some();
-            draws.push(Draw {
+            draws.push(PlacedMesh {
                 node: n,
                 instance: None,
                 mesh,
@@ -106,7 +114,7 @@ pub(super) fn walk(
     Ok(draws)
 }
 
-/// The root nodes of the scene.
+/// Returns the indices of the root nodes of the shown scene.
 fn roots(source: &GltfContext<'_>, root: &json::Root) -> Result<Vec<usize>, SceneError> {
     if let Some(scene) = root.scenes.get(root.scene.unwrap_or(0)) {
         return Ok(scene.nodes.clone());
@@ -114,7 +122,10 @@ fn roots(source: &GltfContext<'_>, root: &json::Root) -> Result<Vec<usize>, Scen
     if let Some(n) = root.scene {
         return Err(source.bad(
             "scene",
-            format!("it names scene {n} of {}", root.scenes.len()),
+            format!(
+                "the default scene is scene {n}, but the file has {} scenes",
+                root.scenes.len()
+            ),
         ));
     }
     let mut is_child = vec![false; root.nodes.len()];
@@ -127,7 +138,7 @@ fn roots(source: &GltfContext<'_>, root: &json::Root) -> Result<Vec<usize>, Scen
     if roots.is_empty() && !root.nodes.is_empty() {
         return Err(source.bad(
             "nodes",
-            "every node is a child of another, so they form a cycle",
+            "every node is a child of another node, so the nodes form a cycle",
         ));
     }
     Ok(roots)

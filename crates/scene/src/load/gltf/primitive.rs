@@ -5,28 +5,28 @@ use rayon::prelude::*;
 
 use super::accessor::{Accessors, CheckedAccessor};
 use super::alpha::Alpha;
-use super::nodes::Draw;
+use super::nodes::PlacedMesh;
 use super::source::GltfContext;
-use super::uses::{Mode, Role, mode, surface};
+use super::uses::{AccessorRole, PrimitiveMode, mode, surface};
 use super::{json, transform};
 use crate::load::limits::{EXPORT_AGAIN, REPAIR_VERTEX};
 use crate::masks::Coordinates;
 use crate::{SceneError, Triangle};
 
-/// Triangles that a thread reads at a time.
+/// The number of triangles that a thread reads in one step.
 const AT_ONCE: usize = 8192;
 
-/// The name of a primitive in errors.
-pub(super) fn label(draw: &Draw, p: usize) -> String {
+/// Returns the name in errors of primitive `p` of the mesh.
+pub(super) fn label(draw: &PlacedMesh, p: usize) -> String {
     format!("mesh {}, primitive {p} (at node {})", draw.mesh, draw.node)
 }
 
-/// The number of triangles of primitive `p` of the mesh.
+/// Returns the number of triangles of primitive `p` of the mesh.
 pub(super) fn count(
     source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
-    draw: &Draw,
+    draw: &PlacedMesh,
     p: usize,
 ) -> Result<u64, SceneError> {
     let primitive = &root.meshes[draw.mesh].primitives[p];
@@ -35,29 +35,29 @@ pub(super) fn count(
         return Ok(0);
     };
     let corners = match primitive.indices {
-        Some(i) => accessors.get(Role::Indices, i).count(),
-        None => accessors.get(Role::Positions, position).count(),
+        Some(i) => accessors.get(AccessorRole::Indices, i).count(),
+        None => accessors.get(AccessorRole::Positions, position).count(),
     };
     match mode(primitive).map_err(bad)? {
-        Mode::NoSurface => Ok(0),
-        Mode::Triangles if corners % 3 == 0 => Ok(corners / 3),
-        Mode::Triangles => Err(bad(format!(
-            "its {corners} corners are not a multiple of three"
+        PrimitiveMode::NoSurface => Ok(0),
+        PrimitiveMode::Triangles if corners % 3 == 0 => Ok(corners / 3),
+        PrimitiveMode::Triangles => Err(bad(format!(
+            "the number of corners, {corners}, is not a multiple of three"
         ))),
-        Mode::Strip | Mode::Fan if corners >= 3 => Ok(corners - 2),
-        Mode::Strip | Mode::Fan => Err(bad(format!(
-            "a strip or fan needs three corners and it has {corners}"
+        PrimitiveMode::Strip | PrimitiveMode::Fan if corners >= 3 => Ok(corners - 2),
+        PrimitiveMode::Strip | PrimitiveMode::Fan => Err(bad(format!(
+            "a strip or fan needs three corners, but the primitive has {corners}"
         ))),
     }
 }
 
-/// Reads the triangles of primitive `p` of the mesh, in world space, into `out`, whose length is that of
-/// [`count`].
+/// Reads the triangles of primitive `p` of the mesh, in world space, into `out`. The length of `out` is the
+/// result of [`count`].
 pub(super) fn read(
     source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
-    draw: &Draw,
+    draw: &PlacedMesh,
     p: usize,
     out: &mut [Triangle],
 ) -> Result<(), SceneError> {
@@ -70,10 +70,10 @@ pub(super) fn read(
         draw,
         p,
         position,
-        positions: accessors.get(Role::Positions, position),
+        positions: accessors.get(AccessorRole::Positions, position),
         indices: primitive
             .indices
-            .map(|i| (i, accessors.get(Role::Indices, i))),
+            .map(|i| (i, accessors.get(AccessorRole::Indices, i))),
     };
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     let triangle = |i: u64| -> Result<Triangle, SceneError> {
@@ -82,7 +82,7 @@ pub(super) fn read(
             v: [corners.at(a)?, corners.at(b)?, corners.at(c)?],
         })
     };
-    // Of several faults, the first in the file is reported.
+    // If there are several faults, the first fault in the file is reported.
     let wrong = out
         .par_chunks_mut(AT_ONCE)
         .enumerate()
@@ -93,24 +93,26 @@ pub(super) fn read(
     wrong.map_or(Ok(()), Err)
 }
 
-/// The corners of a triangle.
-fn corners_of(mode: Mode, i: u64) -> [u64; 3] {
+/// Returns the three corners of triangle `i`, as positions in the primitive's sequence of corners.
+fn corners_of(mode: PrimitiveMode, i: u64) -> [u64; 3] {
     match mode {
-        // Every second triangle of a strip is turned, so that all wind the same way.
-        Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
-        Mode::Fan => [i + 1, i + 2, 0],
-        // Without a surface there are none.
-        Mode::Triangles | Mode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
+        // Every second triangle of a strip is reversed, so that all have the same winding.
+        PrimitiveMode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
+        PrimitiveMode::Fan => [i + 1, i + 2, 0],
+        // Primitives without a surface have no triangles.
+        PrimitiveMode::Triangles | PrimitiveMode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
     }
 }
 
-/// Adds the texture coordinates of the `count` triangles of primitive `p`, as `alpha` places its texture, to
-/// `out`; zeros without a texture.
+/// Adds the texture coordinates of the `count` triangles of primitive `p` to `out`, transformed as `alpha`
+/// specifies. Adds zeros if there is no texture.
 pub(super) fn coordinates(
     source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
-    (draw, p, count): (&Draw, usize, u32),
+    draw: &PlacedMesh,
+    p: usize,
+    count: u32,
     alpha: &Alpha,
     out: &mut Vec<Coordinates>,
 ) -> Result<(), SceneError> {
@@ -123,8 +125,10 @@ pub(super) fn coordinates(
         return Ok(());
     };
     let bad = |why: String| source.bad(format!("{}, accessor {set}", label(draw, p)), why);
-    let given = accessors.get(Role::Coordinates, set);
-    let indices = primitive.indices.map(|i| accessors.get(Role::Indices, i));
+    let given = accessors.get(AccessorRole::Coordinates, set);
+    let indices = primitive
+        .indices
+        .map(|i| accessors.get(AccessorRole::Indices, i));
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     for i in 0..u64::from(count) {
         let mut uvs = Coordinates::default();
@@ -133,22 +137,25 @@ pub(super) fn coordinates(
             if vertex >= given.count() {
                 let n = given.count();
                 return Err(bad(format!(
-                    "vertex {vertex} has no texture coordinates, there are {n}"
+                    "vertex {vertex} has no texture coordinates: the accessor has {n} elements"
                 )));
             }
             let placed = alpha.placed(given.coordinates(vertex));
-            *uv = placed
-                .ok_or_else(|| bad(format!("the coordinates of vertex {vertex} are not finite")))?;
+            *uv = placed.ok_or_else(|| {
+                bad(format!(
+                    "the texture coordinates of vertex {vertex} are not finite"
+                ))
+            })?;
         }
         out.push(uvs);
     }
     Ok(())
 }
 
-/// The corners of a primitive in the order of the indices.
+/// The corners of a primitive, in the order of its indices or, without indices, of its vertices.
 struct Corners<'a> {
     source: &'a GltfContext<'a>,
-    draw: &'a Draw,
+    draw: &'a PlacedMesh,
     p: usize,
     position: usize,
     positions: &'a CheckedAccessor<'a>,
@@ -187,7 +194,10 @@ impl Corners<'_> {
             "{}, accessor {accessor}, index {corner}",
             label(self.draw, self.p)
         );
-        let mut reason = format!("it names vertex {v} of {}", self.positions.count());
+        let mut reason = format!(
+            "the index refers to vertex {v}, but the primitive has {} vertices",
+            self.positions.count()
+        );
         if v == indices.restart() {
             reason.push_str(" (primitive restart is not allowed in glTF)");
         }
@@ -201,11 +211,9 @@ impl Corners<'_> {
             self.position
         );
         let reason = if x.is_finite() && y.is_finite() && z.is_finite() {
-            format!(
-                "its position ({x}, {y}, {z}) is out of range once the node's transform is applied"
-            )
+            format!("the position ({x}, {y}, {z}) is out of range after the transform of the node")
         } else {
-            format!("its position ({x}, {y}, {z}) is not finite")
+            format!("the position ({x}, {y}, {z}) is not finite")
         };
         SceneError::bad(self.source.file, element, reason, REPAIR_VERTEX)
     }

@@ -1,4 +1,4 @@
-//! Sparse accessors: a few elements that replace those of the base (glTF 2.0, section 3.6.2.3).
+//! Sparse accessors, in which a few elements replace elements of a buffer view (glTF 2.0, section 3.6.2.3).
 
 use super::buffers::Buffers;
 use super::component::Component;
@@ -6,13 +6,13 @@ use super::json;
 use super::source::GltfContext;
 use crate::SceneError;
 
-/// The replaced elements, found by binary search.
+/// The elements of a sparse accessor that replace other elements. Lookups use binary search.
 pub(super) struct Overlay<'a> {
     indices: &'a [u8],
     component: Component,
     values: &'a [u8],
     count: usize,
-    /// Bytes of one value.
+    /// The size of a value, in bytes.
     size: usize,
 }
 
@@ -30,7 +30,11 @@ impl<'a> Overlay<'a> {
         let bad = |why: String| source.bad(format!("{label}, sparse"), why);
         let component = match Component::from_number(sparse.indices.component_type) {
             Some(c @ (Component::U8 | Component::U16 | Component::U32)) => c,
-            _ => return Err(bad("its indices must be unsigned integers".to_owned())),
+            _ => {
+                return Err(bad(
+                    "the sparse indices must be unsigned integers".to_owned()
+                ));
+            }
         };
         let part =
             |v: usize, offset: u64, width: u64, what: &str| -> Result<&'a [u8], SceneError> {
@@ -40,10 +44,10 @@ impl<'a> Overlay<'a> {
                     .checked_mul(width)
                     .and_then(|l| l.checked_add(offset));
                 match end.filter(|e| *e <= bytes.len() as u64) {
-                    // Both are at most the length of a slice.
+                    // Both numbers are at most the length of a slice.
                     Some(end) => Ok(&bytes[offset as usize..end as usize]),
                     None => Err(bad(format!(
-                        "its {} {what} from byte {offset} reach beyond buffer view {v} of {} bytes",
+                        "the {} {what} from byte {offset} reach beyond buffer view {v} of {} bytes",
                         sparse.count,
                         bytes.len()
                     ))),
@@ -61,7 +65,7 @@ impl<'a> Overlay<'a> {
             size,
             "values",
         )?;
-        // The values are that many slices of memory, so the count fits; so does the size of an element.
+        // Indices and values are slices of memory, so the count and the size of an element fit `usize`.
         let this = Self {
             indices,
             component,
@@ -72,8 +76,9 @@ impl<'a> Overlay<'a> {
         for i in 0..this.count {
             let index = this.index(i);
             if index >= count || (i > 0 && index <= this.index(i - 1)) {
-                let reason =
-                    format!("index {i} is {index}: indices must increase and stay below {count}");
+                let reason = format!(
+                    "sparse index {i} is {index}, but indices must increase and be below {count}"
+                );
                 return Err(bad(reason));
             }
         }
@@ -85,7 +90,7 @@ impl<'a> Overlay<'a> {
         self.component.unsigned(&self.indices[at..])
     }
 
-    /// The bytes that replace element `i`, if it is replaced.
+    /// Returns the bytes that replace element `i`, or `None` if the element is not replaced.
     pub(super) fn get(&self, i: u64) -> Option<&'a [u8]> {
         let (mut low, mut high) = (0, self.count);
         while low < high {

@@ -1,7 +1,7 @@
-//! The texels of an image file, PNG or JPEG, as a mask: those whose alpha reaches the cutoff block.
+//! The texels of an image file, PNG or JPEG, as a mask: texels whose alpha reaches the cutoff block.
 //!
-//! The size in the file's header is checked before anything is allocated for the texels. PNG is decoded by
-//! the crate `png`. JPEG has no alpha channel, so all its texels are alike: the crate `zune-jpeg` reads its
+//! The size in the file's header is checked before memory for the texels is allocated. The crate `png`
+//! decodes PNG. JPEG has no alpha channel, so all its texels are equal: the crate `zune-jpeg` reads its
 //! headers, and no texel is decoded.
 
 use std::io::Cursor;
@@ -11,32 +11,33 @@ use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use crate::masks::{Mask, Wrap};
+use crate::masks::{Mask, WrapMode};
 
-/// Longest side of a texture. No graphics API has larger ones.
+/// Maximum width and height of a texture in texels. No graphics API supports larger textures.
 const MOST_SIDE: u32 = 1 << 15;
-/// Most texels of a texture, as many as a square of 8192.
+/// Maximum number of texels of a texture, equal to a square of 8192.
 pub(super) const MOST_TEXELS: u64 = 1 << 26;
-/// Most bytes that the PNG decoder may allocate for itself, beside the texels.
+/// Maximum memory in bytes that the PNG decoder may allocate in addition to the texels.
 const DECODER_BYTES: usize = 1 << 26;
 
-/// What the alpha of a texel is compared with.
+/// The comparison that determines if a texel blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cutoff {
-    /// The alpha of the material's base colour, by which that of the texel is multiplied.
+    /// The alpha of the material's base colour, which multiplies the alpha of the texel.
     pub(super) factor: f64,
-    /// A texel blocks if its alpha is at least this.
+    /// The minimum product of both alphas for which a texel blocks.
     pub(super) least: f64,
 }
 
 impl Cutoff {
-    /// Whether a texel of this alpha blocks.
+    /// Returns true if a texel with this alpha (0 to 1) blocks.
     pub(super) fn closes(self, alpha: f64) -> bool {
         alpha * self.factor >= self.least
     }
 }
 
-/// The names of image formats that are recognised and not read, by the bytes at a place in the file.
+/// The image formats that the loader recognises but does not read: the offset of the magic number in the
+/// file, the magic number, and the name of the format.
 const OTHERS: [(usize, &[u8], &str); 8] = [
     (0, b"\xabKTX 20\xbb", "KTX2 (KHR_texture_basisu)"),
     (0, b"\xabKTX 11\xbb", "KTX"),
@@ -48,13 +49,13 @@ const OTHERS: [(usize, &[u8], &str); 8] = [
     (0, b"sB", "Basis Universal"),
 ];
 
-/// The mask of an image, which may have at most `most` texels.
+/// Creates the mask of the image file `bytes`, which may have at most `most` texels.
 ///
 /// # Errors
-/// The fault in words.
+/// A description of the fault.
 pub(super) fn mask(
     bytes: &[u8],
-    wrap: [Wrap; 2],
+    wrap: [WrapMode; 2],
     cutoff: Cutoff,
     most: u64,
 ) -> Result<Mask, String> {
@@ -68,9 +69,11 @@ pub(super) fn mask(
         .iter()
         .find(|(at, magic, _)| bytes.get(*at..).is_some_and(|b| b.starts_with(magic)));
     Err(match known {
-        Some((.., name)) => format!("its format is {name}, and PNG and JPEG are read"),
-        None if bytes.is_empty() => "it is empty".to_owned(),
-        None => "it is neither PNG nor JPEG".to_owned(),
+        Some((.., name)) => {
+            format!("the image has the format {name}; supported formats are PNG and JPEG")
+        }
+        None if bytes.is_empty() => "the image is empty".to_owned(),
+        None => "the image is neither PNG nor JPEG".to_owned(),
     })
 }
 
@@ -82,25 +85,25 @@ fn check_size(size: [u32; 2], most: u64) -> Result<(), String> {
     }
     if width > MOST_SIDE || height > MOST_SIDE {
         return Err(format!(
-            "is {width} x {height} texels large, and at most {MOST_SIDE} a side are read"
+            "is {width} x {height} texels large, but width and height may be at most {MOST_SIDE}"
         ));
     }
     if u64::from(width) * u64::from(height) > most {
         return Err(format!(
-            "is {width} x {height} texels large, and at most {MOST_TEXELS} texels a texture are read, less \
-             if the scene has many textures"
+            "is {width} x {height} texels large, but a texture may have at most {MOST_TEXELS} texels, or \
+             fewer if the scene has many textures"
         ));
     }
     Ok(())
 }
 
-fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
+fn png(bytes: &[u8], wrap: [WrapMode; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
     let unreadable = |e: png::DecodingError| format!("cannot be decoded: {e}");
     let limits = png::Limits {
         bytes: DECODER_BYTES,
     };
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), limits);
-    // Palettes and colour keys become alpha channels; samples have 8 or 16 bits.
+    // Palettes and colour keys become alpha channels, and samples have 8 or 16 bits.
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
@@ -136,7 +139,7 @@ fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask,
         }
     };
     if reader.info().interlaced {
-        // At most eight bytes for each texel that was allowed.
+        // The buffer has at most eight bytes per accepted texel.
         let all = reader
             .output_buffer_size()
             .ok_or("does not fit in memory")?;
@@ -150,16 +153,16 @@ fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask,
             let row = reader
                 .next_row()
                 .map_err(unreadable)?
-                .ok_or("ends within its texels")?;
+                .ok_or("ends before its last texel")?;
             take(row.data());
         }
     }
-    // A file that ends before its end is damaged, even if all texels are there.
+    // A file that ends early is damaged, even if all texels were read.
     reader.finish().map_err(unreadable)?;
     Ok(mask)
 }
 
-fn jpeg(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
+fn jpeg(bytes: &[u8], wrap: [WrapMode; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
     let side = usize::from(u16::MAX);
     let options = DecoderOptions::default()
         .set_max_width(side)
@@ -173,11 +176,11 @@ fn jpeg(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask
         [width, height].map(|n| u32::try_from(n).unwrap_or(u32::MAX)),
         most,
     )?;
-    // The marker of the end comes after that of the last coded texels. Neither occurs within coded texels,
-    // and a small preview among the headers has both before.
+    // The end marker follows the marker of the last coded texels. Neither occurs within coded texels, and a
+    // preview among the headers has both earlier.
     let last = |marker: u8| bytes.windows(2).rposition(|two| two == [0xff, marker]);
     if last(0xd9) < last(0xda) {
-        return Err("has no end (truncated?)".to_owned());
+        return Err("has no end marker (truncated?)".to_owned());
     }
     let mut mask = Mask::open([1, 1], wrap);
     if cutoff.closes(1.0) {

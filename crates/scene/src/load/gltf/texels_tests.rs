@@ -1,4 +1,4 @@
-//! Tests of masks from PNG and JPEG files, good and bad.
+//! Tests of masks from valid and invalid PNG and JPEG files.
 
 use super::*;
 
@@ -7,7 +7,7 @@ const HALF: Cutoff = Cutoff {
     least: 0.5,
 };
 
-/// A PNG file of rows of raw samples.
+/// Creates a PNG file from rows of raw samples.
 fn png_file(
     [width, height]: [u32; 2],
     color: png::ColorType,
@@ -28,7 +28,7 @@ fn png_file(
     out
 }
 
-/// The texels of a mask, x where they block.
+/// Draws the texels of a mask: x for a blocking texel.
 fn drawn(mask: &Mask) -> Vec<String> {
     let [width, height] = mask.size();
     let at = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
@@ -45,10 +45,10 @@ fn drawn(mask: &Mask) -> Vec<String> {
 }
 
 fn read(bytes: &[u8], cutoff: Cutoff) -> Result<Vec<String>, String> {
-    mask(bytes, [Wrap::Clamp; 2], cutoff, MOST_TEXELS).map(|m| drawn(&m))
+    mask(bytes, [WrapMode::Clamp; 2], cutoff, MOST_TEXELS).map(|m| drawn(&m))
 }
 
-/// A grey JPEG of 8 × 8 texels with one coefficient.
+/// Creates a grey JPEG of 8 × 8 texels with one coefficient.
 fn jpeg_file([width, height]: [u16; 2]) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
     out.extend([1; 64]);
@@ -63,9 +63,9 @@ fn jpeg_file([width, height]: [u16; 2]) -> Vec<u8> {
 }
 
 #[test]
-fn a_texel_blocks_when_its_alpha_reaches_the_cutoff() {
+fn texel_blocks_if_alpha_reaches_cutoff() {
     use png::{BitDepth, ColorType};
-    // Alpha 0, 127, 128 and 255 of grey and of coloured texels; the rest of a texel does not count.
+    // Alpha 0, 127, 128 and 255 of grey and of coloured texels. The other samples of a texel do not count.
     let alpha = [0u8, 127, 128, 255];
     let grey: Vec<u8> = alpha.into_iter().flat_map(|a| [255 - a, a]).collect();
     let color: Vec<u8> = alpha
@@ -128,7 +128,8 @@ fn a_texel_blocks_when_its_alpha_reaches_the_cutoff() {
             ["xxxx"]
         );
     }
-    // Two texels a byte of a palette whose second colour is transparent, and rows of an odd number.
+    // A palette whose second colour is transparent, two texels per byte, and rows with an odd number of
+    // texels.
     let palette = |e: &mut png::Encoder<'_, &mut Vec<u8>>| {
         e.set_palette(vec![1, 2, 3, 4, 5, 6, 7, 8, 9]);
         e.set_trns(vec![255, 0]);
@@ -141,7 +142,7 @@ fn a_texel_blocks_when_its_alpha_reaches_the_cutoff() {
         palette,
     );
     assert_eq!(read(&file, HALF).unwrap(), ["x.x", ".x."]);
-    // Without an alpha channel all texels block; JPEG never has one.
+    // Without an alpha channel all texels block. JPEG never has an alpha channel.
     let file = png_file([3, 1], ColorType::Rgb, BitDepth::Eight, &[0; 9], plain);
     assert_eq!(read(&file, HALF).unwrap(), ["xxx"]);
     assert_eq!(read(&jpeg_file([8, 8]), HALF).unwrap(), ["x"]);
@@ -158,7 +159,7 @@ fn a_texel_blocks_when_its_alpha_reaches_the_cutoff() {
     );
 }
 
-/// The file of the test below with Adam7 interlacing, which the encoder does not write.
+/// The file of the test below with Adam7 interlacing, which the encoder cannot write.
 const INTERLACED: [u8; 76] = [
     0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48, 0x44, 0x52,
     0x00, 0x00, 0x00, 0x05, 0x00, 0x00, 0x00, 0x03, 0x08, 0x04, 0x00, 0x00, 0x01, 0x86, 0x38, 0x3d,
@@ -168,8 +169,8 @@ const INTERLACED: [u8; 76] = [
 ];
 
 #[test]
-fn interlaced_images_have_the_same_texels() {
-    // 5 × 3 texels, grey with alpha; those with x + y even are opaque.
+fn interlaced_image_has_same_texels() {
+    // 5 × 3 texels, grey with alpha. The texels with an even x + y are opaque.
     let plain = {
         let at = |i: u32| {
             if (i % 5 + i / 5).is_multiple_of(2) {
@@ -193,10 +194,10 @@ fn interlaced_images_have_the_same_texels() {
 }
 
 #[test]
-fn bad_images_are_refused_before_their_texels_are_allocated() {
+fn rejects_bad_images_before_texel_allocation() {
     let plain = |_: &mut png::Encoder<'_, &mut Vec<u8>>| {};
     let file = |size: [u32; 2]| {
-        // The header of a larger image than there is.
+        // The header announces a larger image than the file contains.
         let mut file = png_file(
             [1, 1],
             png::ColorType::Rgba,
@@ -225,35 +226,35 @@ fn bad_images_are_refused_before_their_texels_are_allocated() {
     let bad: [(&[u8], &str); 14] = [
         (
             &file([100_000, 1]),
-            "100000 x 1 texels large, and at most 32768 a side",
+            "100000 x 1 texels large, but width and height may be at most 32768",
         ),
         (
             &file([30_000, 30_000]),
-            "30000 x 30000 texels large, and at most 67108864 texels",
+            "30000 x 30000 texels large, but a texture may have at most 67108864 texels",
         ),
         (&file([0, 4]), "PNG image"),
         (&file([5, 5]), "cannot be decoded"),
         (&large[..large.len() / 2], "cannot be decoded"),
         (&large[..20], "cannot be decoded"),
         (&jpeg_file([60_000, 8]), "60000 x 8 texels large"),
-        (&jpeg[..jpeg.len() - 2], "has no end (truncated?)"),
+        (&jpeg[..jpeg.len() - 2], "has no end marker (truncated?)"),
         (&jpeg[..40], "JPEG image cannot be decoded"),
-        (b"", "it is empty"),
+        (b"", "the image is empty"),
         (
             b"\xabKTX 20\xbb\r\n\x1a\n",
-            "its format is KTX2 (KHR_texture_basisu)",
+            "the image has the format KTX2 (KHR_texture_basisu)",
         ),
-        (b"RIFF\x04\0\0\0WEBPVP8 ", "its format is WebP"),
-        (b"DDS |\0\0\0", "its format is DDS"),
-        (b"hello", "it is neither PNG nor JPEG"),
+        (b"RIFF\x04\0\0\0WEBPVP8 ", "the image has the format WebP"),
+        (b"DDS |\0\0\0", "the image has the format DDS"),
+        (b"hello", "the image is neither PNG nor JPEG"),
     ];
     for (bytes, said) in bad {
         let why = read(bytes, HALF).unwrap_err();
         assert!(why.contains(said), "{why:?} does not say {said:?}");
     }
-    // Less when the scene has many textures.
-    assert!(mask(&large, [Wrap::Clamp; 2], HALF, 64 * 64 - 1).is_err());
-    // A single changed byte is an image or an error, never a panic.
+    // The limit is lower if the scene has many textures.
+    assert!(mask(&large, [WrapMode::Clamp; 2], HALF, 64 * 64 - 1).is_err());
+    // A changed byte results in an image or an error, never in a panic.
     for at in (0..large.len()).step_by(97).chain(0..64) {
         let mut changed = large.clone();
         changed[at] ^= 0x41;
@@ -266,7 +267,7 @@ fn bad_images_are_refused_before_their_texels_are_allocated() {
     }
 }
 
-/// The checksum of a PNG chunk.
+/// Computes the checksum of a PNG chunk.
 fn crc32(bytes: &[u8]) -> u32 {
     let step = |sum: u32, byte: &u8| {
         (0..8).fold(sum ^ u32::from(*byte), |s, _| {

@@ -1,8 +1,8 @@
-//! The masks of primitives whose textures are read, each texture once.
+//! The masks of primitives whose textures are read. Each texture is read once.
 //!
-//! Where the alpha is the same everywhere and blocks, no mask is needed: the triangles are opaque. Where
-//! it depends on more than the texture (vertex colours) or the texture cannot be placed (no texture
-//! coordinates), they are see-through as a whole, with a warning: that hides nothing.
+//! If the alpha is uniform and blocks, no mask is needed: the triangles are opaque. If the alpha also depends
+//! on vertex colours, or the texture has no texture coordinates, the triangles are completely see-through,
+//! with a warning. A see-through triangle does not hide other triangles.
 
 use std::collections::BTreeMap;
 
@@ -11,40 +11,42 @@ use super::alpha::{Alpha, MASK};
 use super::buffers::Buffers;
 use super::images::Document;
 use super::json;
-use super::nodes::Draw;
+use super::nodes::PlacedMesh;
 use super::source::GltfContext;
 use super::texels::{self, MOST_TEXELS};
-use super::uses::Role;
+use super::uses::AccessorRole;
 use crate::SceneError;
-use crate::kinds::Kind;
+use crate::kinds::SurfaceKind;
 use crate::load::marks::{Mark, Marks};
-use crate::masks::{Mask, Wrap};
+use crate::masks::{Mask, WrapMode};
 
-/// The reason of triangles that no texel lets a line through.
+/// The reason for the kind of triangles whose texels all block.
 const CLOSED: &str = "alphaMode MASK, opaque everywhere";
-/// Most texels of all masks of a scene; half a gigabyte.
+/// Maximum number of texels of all masks of a scene, which have half a gigabyte.
 const MOST_TEXELS_IN_ALL: u64 = 1 << 32;
-/// Remedy for textures that cannot be used.
-const REMEDY: &str = "repair or replace the texture (PNG or JPEG), or leave out --alpha-textures: masked \
-                      geometry is then see-through as a whole";
+/// The remedy for textures that cannot be used.
+const REMEDY: &str = "repair or replace the texture (PNG or JPEG), or omit --alpha-textures: \
+                      masked geometry is then see-through as a whole";
 
-/// What the alpha of a primitive makes of its triangles.
-pub(super) enum Resolved {
-    /// One kind for all points of them.
+/// The effect of a primitive's alpha on its triangles.
+pub(super) enum AlphaEffect {
+    /// A kind that applies to all points of the triangles.
     Whole(Mark),
-    /// The mask of this number decides.
+    /// The index of the mask that determines the points at which the triangles block.
     Mask(u32),
 }
 
-/// The masks that are read so far.
+/// The masks that were read so far.
 pub(super) struct Textures<'a> {
     source: &'a GltfContext<'a>,
     root: &'a json::Root,
     buffers: &'a Buffers<'a>,
     document: &'a Document,
     masks: Vec<Mask>,
-    /// By texture, factor and cutoff; none where all texels block.
+    /// The indices of masks by texture index, bits of the factor and bits of the cutoff. `None` if all texels
+    /// block.
     known: BTreeMap<(Option<usize>, u64, u64), Option<u32>>,
+    /// The number of texels of all masks that were read.
     texels: u64,
 }
 
@@ -67,18 +69,20 @@ impl<'a> Textures<'a> {
         }
     }
 
-    /// What `alpha`, that of material `material`, makes of the triangles of primitive `p`.
+    /// Returns the effect of `alpha` on the triangles of primitive `p`, and reads the mask if necessary.
+    /// `material` is the name in errors of the material with these alpha properties.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the texture cannot be used.
+    /// [`SceneError::Bad`] if the texture cannot be used.
     pub(super) fn resolve(
         &mut self,
         accessors: &Accessors<'_>,
-        draw: &Draw,
+        draw: &PlacedMesh,
         p: usize,
-        (material, alpha): (&str, &Result<Alpha, String>),
+        material: &str,
+        alpha: &Result<Alpha, String>,
         marks: &mut Marks,
-    ) -> Result<Resolved, SceneError> {
+    ) -> Result<AlphaEffect, SceneError> {
         marks.met_alpha();
         let bad =
             |element: &str, why: String| SceneError::bad(self.source.file, element, why, REMEDY);
@@ -86,19 +90,21 @@ impl<'a> Textures<'a> {
         let attributes = &self.root.meshes[draw.mesh].primitives[p].attributes;
         let mut whole = |why: String| {
             marks.warn(format!(
-                "mesh {}, primitive {p}: {why}, so it is see-through as a whole",
+                "mesh {}, primitive {p}: {why}, so the primitive is see-through as a whole",
                 draw.mesh
             ));
-            Ok(Resolved::Whole(Mark::of(Kind::SeeThrough, MASK)))
+            Ok(AlphaEffect::Whole(Mark::new(SurfaceKind::SeeThrough, MASK)))
         };
-        // Colours of three components have no accessor in this role, and no alpha.
-        let colors = attributes.color_0.map(|c| accessors.get(Role::Colors, c));
+        // Vertex colours of three components have no alpha, and `uses` does not list their accessor.
+        let colors = attributes
+            .color_0
+            .map(|c| accessors.get(AccessorRole::Colors, c));
         if colors.is_some_and(|c| (0..c.count()).any(|i| c.alpha(i) < 1.0)) {
-            return whole("its vertex colours (COLOR_0) have alpha below 1".to_owned());
+            return whole("the vertex colours (COLOR_0) have alpha below 1".to_owned());
         }
         if alpha.texture.is_some() && attributes.coordinates(alpha.set).is_none() {
             return whole(format!(
-                "it has no texture coordinates TEXCOORD_{}",
+                "the primitive has no texture coordinates TEXCOORD_{}",
                 alpha.set
             ));
         }
@@ -124,15 +130,15 @@ impl<'a> Textures<'a> {
             }
         };
         Ok(match known {
-            Some(number) => Resolved::Mask(number),
-            None => Resolved::Whole(Mark::of(Kind::Opaque, CLOSED)),
+            Some(number) => AlphaEffect::Mask(number),
+            None => AlphaEffect::Whole(Mark::new(SurfaceKind::Opaque, CLOSED)),
         })
     }
 
-    /// Decodes the mask of a material; an error names the element and the reason.
+    /// Decodes the mask of a material. An error contains the faulty element and the reason.
     fn mask(&self, alpha: &Alpha) -> Result<Mask, (String, String)> {
         let Some(texture) = alpha.texture else {
-            let mut mask = Mask::open([1, 1], [Wrap::Clamp; 2]);
+            let mut mask = Mask::open([1, 1], [WrapMode::Clamp; 2]);
             if alpha.cutoff.closes(1.0) {
                 mask.close(0);
             }
@@ -152,7 +158,7 @@ impl<'a> Textures<'a> {
         texels::mask(&bytes, image.wrap, alpha.cutoff, most).map_err(|why| (element, why))
     }
 
-    /// All masks, by number.
+    /// Returns all masks, by index.
     pub(super) fn into_masks(self) -> Vec<Mask> {
         self.masks
     }

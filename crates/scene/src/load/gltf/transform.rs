@@ -1,20 +1,23 @@
-//! Affine transforms in `f64`: nodes multiply them, and a vertex is rounded to `f32` once, at the end.
+//! Affine transforms in `f64`. The transforms of nested nodes are multiplied, and each transformed vertex is
+//! rounded to `f32` once.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
 use super::json::Node;
 
-/// The transform of a node relative to its parent, or a sentence that says what is wrong with it.
+/// Computes the transform of a node relative to its parent. The error is a sentence that describes the fault.
 ///
-/// A matrix must be affine; a rotation is normalised, since exporters round it to `f32`.
+/// A matrix must be affine. The function normalises a rotation, because exporters round quaternions to `f32`.
 pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
     let result = match &node.matrix {
         Some(m) => {
             if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
-                return Err("it has both a matrix and a translation, rotation or scale".to_owned());
+                return Err(
+                    "the node has both a matrix and a translation, rotation or scale".to_owned(),
+                );
             }
             if [m[3], m[7], m[11], m[15]] != [0.0, 0.0, 0.0, 1.0] {
-                return Err("the last row of its matrix is not 0 0 0 1".to_owned());
+                return Err("the last row of the matrix is not 0 0 0 1".to_owned());
             }
             let column = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
             DAffine3 {
@@ -29,17 +32,19 @@ pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
                 node.rotation.as_ref().map(|r| **r),
                 unbox(&node.scale),
             )
-            .ok_or("its rotation is not a unit quaternion")?
+            .ok_or("the rotation is not a quaternion of positive length")?
         }
     };
     if result.is_finite() {
         Ok(result)
     } else {
-        Err("its transform is not finite".to_owned())
+        Err("the transform is not finite".to_owned())
     }
 }
 
-/// A transform from its parts, the identity where one is missing; none if the rotation is no quaternion.
+/// Composes a transform from a translation, a rotation (quaternion x, y, z, w) and a scale. A missing
+/// argument stands for the identity. Returns `None` if the length of the quaternion is not finite or at most
+/// 10⁻⁶.
 pub(super) fn compose(
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
@@ -63,9 +68,9 @@ pub(super) fn compose(
     ))
 }
 
-/// `p` in world space, rounded to `f32`; not finite when the result is out of range.
+/// Transforms `p` to world space and rounds the result to `f32`. A coordinate out of range becomes infinite.
 ///
-/// The identity keeps every bit, the sign of a zero included.
+/// The identity preserves every bit, including the sign of a zero.
 pub(super) fn apply(world: &DAffine3, p: [f64; 3]) -> Vec3 {
     let p = DVec3::from_array(p);
     if *world == DAffine3::IDENTITY {

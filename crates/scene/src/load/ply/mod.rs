@@ -1,23 +1,28 @@
 //! Stanford PLY, ascii and binary of either byte order: the elements `vertex` (x, y, z) and `face`
 //! (`vertex_indices`).
 //!
-//! An n-gon becomes the fan (v0, vi, vi+1); the whole file is one object. Other elements and properties are
-//! stepped over. Triangle strips (`tristrips`) are not read. The parser is our own: it converts the bytes to
-//! triangles directly, so that memory is proportional to the mesh whatever the header announces, and its
-//! errors name the element and the property.
+//! An n-gon becomes the fan (v0, vi, vi+1), and the whole file is one object. Other elements and properties
+//! are skipped. Triangle strips (`tristrips`) are not read. This parser converts the bytes to triangles
+//! directly, so its memory is proportional to the mesh regardless of the counts in the header. Its errors
+//! name the element and the property.
 
 use glam::Vec3;
 use sightline_formats::ply::{Ascii, Binary, Element, Format, Header, Property, Values, read};
 
-use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
+use super::limits::{EXPORT_AGAIN, LoadLimits, REPAIR_VERTEX, too_many_triangles};
 use super::marks::{Mark, Marks};
 use crate::{Object, Scene, SceneError, Triangle};
+
+/// Returns true if bytes begin as a PLY file does.
+pub(super) fn has_signature(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") || bytes == b"ply"
+}
 
 /// Reads a PLY file.
 pub(super) fn parse(
     file: &str,
     bytes: &[u8],
-    limits: &Limits,
+    limits: &LoadLimits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
     let header = read(bytes).map_err(|fault| {
@@ -46,10 +51,10 @@ pub(super) fn parse(
     Scene::new(file, r.triangles, vec![whole])
 }
 
-/// The state of the reader.
+/// The state of the PLY reader.
 struct PlyReader<'a> {
     file: &'a str,
-    limits: &'a Limits,
+    limits: &'a LoadLimits,
     vertices: Vec<Vec3>,
     triangles: Vec<Triangle>,
 }
@@ -65,15 +70,15 @@ impl PlyReader<'_> {
             if e.properties.is_empty() {
                 continue;
             }
-            // Each element takes a known least number of bytes, so the count is checked before anything is
-            // done for it.
+            // Each record of an element has a known minimum number of bytes, so check the count before
+            // reading the records.
             let least: u64 = e.properties.iter().map(|p| values.least_bytes(p)).sum();
             if e.count
                 .checked_mul(least)
                 .is_none_or(|n| n > values.left() as u64 + 1)
             {
                 let reason = format!(
-                    "the header counts {} of them, which is more than the {} bytes left can hold",
+                    "the header announces {} records, more than the remaining {} bytes can contain",
                     e.count,
                     values.left()
                 );
@@ -87,7 +92,7 @@ impl PlyReader<'_> {
                 "face" if !have_vertices => {
                     return Err(self.bad(
                         "header",
-                        "the faces come before the vertices",
+                        "the element face precedes the element vertex",
                         "export the file with its vertices first",
                     ));
                 }
@@ -104,13 +109,13 @@ impl PlyReader<'_> {
         if !header.elements.iter().any(|e| e.name == "face") {
             return Err(self.bad(
                 "header",
-                "it has no face element, so no triangles",
+                "the header has no face element, so the file has no triangles",
                 "export a mesh with faces, not a point cloud or strips",
             ));
         }
         if values.has_rest() {
             let reason = format!(
-                "{} bytes follow the last element the header counts",
+                "{} bytes follow the last element of the header",
                 values.left()
             );
             return Err(self.bad("end", reason, EXPORT_AGAIN));
@@ -118,13 +123,14 @@ impl PlyReader<'_> {
         Ok(())
     }
 
-    /// The error for a value that is not there or not a number.
+    /// Creates the error for property `p` of record `i` whose value is missing or not a number.
     fn unreadable<V: Values>(&self, e: &Element, i: u64, p: &Property, values: &V) -> SceneError {
         let at = format!("{} {i}, property {}", e.name, p.name);
         self.bad(&at, values.why(), EXPORT_AGAIN)
     }
 
-    /// The length of the list that comes next; the rest of the file must be able to hold it.
+    /// Reads the length of the next list, and checks that the rest of the file can contain the list. Returns
+    /// 1 for a property that is a single number.
     fn list_len<V: Values>(
         &self,
         e: &Element,
@@ -141,12 +147,12 @@ impl PlyReader<'_> {
                 .is_some_and(|b| b <= values.left() as u64 + 1)
         });
         match fits {
-            // No more than the bytes left, so it fits a usize.
+            // The number is at most the number of remaining bytes, so it fits a usize.
             Some(n) => Ok(n as usize),
             None => {
                 let at = format!("{} {i}, property {}", e.name, p.name);
                 let reason = format!(
-                    "its list has {n} values, but {} bytes are left",
+                    "the list has {n} values, but only {} bytes follow",
                     values.left()
                 );
                 Err(self.bad(&at, reason, EXPORT_AGAIN))
@@ -197,7 +203,7 @@ impl PlyReader<'_> {
             }
             let v = Vec3::from_array(position);
             if !v.is_finite() {
-                let reason = format!("its position ({}, {}, {}) is not finite", v.x, v.y, v.z);
+                let reason = format!("the position ({}, {}, {}) is not finite", v.x, v.y, v.z);
                 return Err(self.bad(&format!("vertex {i}"), reason, REPAIR_VERTEX));
             }
             self.vertices.push(v);
@@ -212,7 +218,8 @@ impl PlyReader<'_> {
         match e.properties.iter().filter(|p| is_indices(p)).count() {
             1 => {}
             n => {
-                let reason = format!("it has {n} lists called vertex_indices, and must have one");
+                let reason =
+                    format!("the element has {n} lists named vertex_indices, but must have one");
                 return Err(self.bad("element face", reason, EXPORT_AGAIN));
             }
         }
@@ -237,7 +244,7 @@ impl PlyReader<'_> {
     ) -> Result<(), SceneError> {
         let n = self.list_len(e, i, p, values)?;
         if n < 3 {
-            let reason = format!("it has {n} corners");
+            let reason = format!("the face has {n} corners");
             let remedy = "remove faces of fewer than three corners and export again";
             return Err(self.bad(&format!("face {i}"), reason, remedy));
         }
@@ -274,7 +281,10 @@ impl PlyReader<'_> {
             .ok()
             .and_then(|i| self.vertices.get(i));
         vertex.copied().ok_or_else(|| {
-            let reason = format!("it names vertex {index} of {}", self.vertices.len());
+            let reason = format!(
+                "the face refers to vertex {index}, but the file has {} vertices",
+                self.vertices.len()
+            );
             self.bad(&format!("face {i}"), reason, EXPORT_AGAIN)
         })
     }

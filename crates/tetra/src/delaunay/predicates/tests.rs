@@ -1,4 +1,4 @@
-//! The predicates against integers of any width, on lattices, at every scale and where doubles fail.
+//! Tests of the predicates against integers of any width, on lattices, at every scale and where doubles fail.
 
 use proptest::prelude::*;
 
@@ -71,7 +71,7 @@ fn true_conflict(corners: [[f32; 3]; 4], e: [f32; 3]) -> (Ordering, [Ordering; 4
     (sum.cmp(&IBig::ZERO), volumes.map(|v| v.cmp(&IBig::ZERO)))
 }
 
-/// Points of few values, of any mantissas, and of any scales.
+/// Generates points of few values, of any mantissas, and of any scales.
 fn points<const N: usize>() -> impl Strategy<Value = [[f32; 3]; N]> {
     let near = (-2i32..3).prop_map(|c| c as f32);
     let fine = (-2i32..3, -2i32..3).prop_map(|(c, off)| (c as f32) + off as f32 * f32::EPSILON);
@@ -106,7 +106,7 @@ fn check_conflict(all: &[[f32; 3]; 5]) -> Result<(), TestCaseError> {
         false => Ordering::Less,
     });
     prop_assert_eq!(predicates.conflicts(corners, 4), truth == Ordering::Greater);
-    // All three stages agree with the truth, where they decide.
+    // All three stages must agree with the exact result if they decide.
     let rows = corners.map(|k| minus(at(k), at(4)));
     if let Some((found, cofactors)) = predicates.conflicts_filtered(&rows) {
         prop_assert_eq!(found, side);
@@ -192,7 +192,7 @@ proptest! {
             .map(|(side, cofactors)| (side, cofactors.map(sign)));
         let truth = true_conflict([0, 1, 2, 3].map(at), at(4));
         prop_assert_eq!(found, Some(truth));
-        // The second stage could decide them, too.
+        // The second stage decides them too.
         prop_assert_eq!(small_signs(rows), Some(truth));
     }
 

@@ -1,78 +1,86 @@
-// What all kernels of a block's rounds share: the block, its tables, lists and random numbers. Follows
-// traverse.wgsl; the other files of this folder follow. rounds/mod.rs says how the kernels work together.
+// Declarations that all kernels of a block's rounds share: the block, its tables, lists and random numbers.
+// The host concatenates this file after traverse.wgsl and before the other files of this folder.
+// rounds/mod.rs describes the order of the kernels.
 //
-// Same bits. Within a kernel, what decides is read from tables that the kernel does not write, and what is
-// written commutes: or, sum, maximum. The order of a list depends on timing, so no decision reads a place in
-// a list; lines have numbers of their own. Random numbers hang on what a line is for and on such numbers.
+// Determinism. Every decision of a kernel reads tables that the kernel does not write, and every write is a
+// commutative operation: or, sum, maximum. The order of a list depends on timing, so no decision uses an
+// index into a list; each line has its own number instead. Random numbers depend on the purpose and the
+// number of a line.
 
-// A grid of cells and how their bits are numbered.
+// A grid of cells, and the numbering of the cells' bits.
 struct Grid {
     low: vec3<f32>,
-    // Least part of a cell that a segment must cross, in cells.
+    // Minimum length of a segment in a credited cell, in cells.
     margin: f32,
     // Cells per scene unit.
     per_unit: vec3<f32>,
-    // Place of its first cell in `cells`.
+    // Index of the grid's first cell in `cells`.
     first_cell: u32,
     cells: vec3<u32>,
-    // 32-bit words of a row.
+    // Number of 32-bit words of a row.
     words: u32,
-    // Binary logarithms of a brick's sides.
+    // Binary logarithms of a brick's sides along x, y and z, in cells. The 64 cells of a brick share two
+    // words.
     side: vec3<u32>,
-    // Place of its first word in `reached`.
+    // Index of the grid's first word in `reached`.
     first_word: u32,
     bricks: vec3<u32>,
     unused: u32,
-    // By axis, the first cells of a brick along the axis: low and high half.
+    // For each axis, the bits of a brick's cells whose coordinate along the axis is the lowest: low and high
+    // half.
     first: array<vec4<u32>, 3>,
 }
 
 struct Block {
-    // The block's, and the whole division's, over which pairs are looked for.
+    // The grid of the block (OWN), and the grid of the whole division (DIVISION), over which pairs are
+    // searched.
     grids: array<Grid, 2>,
-    // Length of the block's diagonal.
+    // Length of the block's diagonal, in scene units.
     extent: f32,
-    // Least distance between the origin of a line and the start of its other half.
+    // Minimum distance between the origin of a line and the start of the line's other half, in scene units.
     step: f32,
-    // Lines end at this distance; FAR when they do not.
+    // Distance at which lines end, in scene units; FAR for lines without such an end.
     far: f32,
-    // 0, which no compiler knows.
+    // The value 0, which the compiler cannot know in advance (see `rounded`).
     zero: u32,
-    // Key of the seeds' random numbers.
+    // Key of the random numbers of seeds.
     seed: vec2<u32>,
     triangles: u32,
     // Triangles in Morton order.
     ordered: u32,
-    // Finds that a list holds.
+    // Maximum number of entries of `finds`. Lists of lines, candidates and words have three times as many.
     capacity: u32,
-    // Whether rows are other items than triangles; then `rows` holds the row of each triangle.
+    // 1 if rows are clusters or objects; `rows` then contains the row of each triangle. 0 if rows are
+    // triangles.
     has_rows: u32,
     unused_a: u32,
     unused_b: u32,
 }
 
-// Numbers of the grids.
+// Indices in `Block::grids`.
 const OWN: u32 = 0u;
 const DIVISION: u32 = 1u;
 
-// A part of a phase that is worked on at a time.
+// A part of a phase: the elements that one sequence of kernels processes.
 struct Part {
-    // Lines of this part, or other things.
+    // Number of the part's elements: lines, items, triangles or words, depending on the kernel.
     count: u32,
-    // Tiles, lines or places before this part.
+    // Number of tiles, lines, items, triangles or words before this part.
     first: u32,
     // Items of the phase.
     items: u32,
     round: u32,
-    // Places of `claims`, less one.
+    // Number of entries of `claims`, a power of two, minus one.
     mask: u32,
-    // Number of the try.
+    // Number of the attempt at the candidates, starting at 0.
     time: u32,
-    // How lines are cast: BOTH_WAYS and so on.
+    // The direction of the rays of a line: BOTH_WAYS, AHEAD or SEGMENT.
     way: u32,
-    // One line in so many joins the cells of the division that it crosses; 0 for none.
+    // Joining interval: one line in this number joins the cells of the division that the line crosses; 0 for
+    // no line.
     joins: u32,
-    // By decade of a candidate's part of the sphere: tries at it in this round, and in all before.
+    // By decade of a candidate's fraction of the sphere: the attempts per candidate in this round (`times`),
+    // and in all earlier rounds (`so_far`).
     times: array<vec4<f32>, 2>,
     so_far: array<vec4<f32>, 2>,
 }
@@ -83,80 +91,89 @@ struct Cell {
     size: vec3<f32>,
     key_high: u32,
     at: vec3<u32>,
-    // Place of its bit in a row.
+    // Index of the cell's bit in a row.
     slot: u32,
-    // Which of its parts hold viewpoints, low half and high half; all bits when all do, or none does.
+    // Bits of the cell's parts that contain viewpoints, low half and high half; all bits are 1 if every part
+    // or no part contains viewpoints.
     parts: vec2<u32>,
     unused: vec2<u32>,
 }
 
 @group(1) @binding(0) var<uniform> block: Block;
-// The table at the last barrier, by row, then word.
+// The table of the triangles seen from each cell, at the last barrier. A row has `words` consecutive words.
 @group(1) @binding(1) var<storage, read> seen: array<u32>;
-// The same with all credits since.
+// The table with all credits since the last barrier.
 @group(1) @binding(2) var<storage, read_write> now: array<atomic<u32>>;
-// What lines of the cell itself have met in this phase.
+// The triangles that a cell's own lines have met in this phase, in the layout of the table.
 @group(1) @binding(3) var<storage, read_write> met: array<atomic<u32>>;
 @group(1) @binding(4) var<storage, read> cells: array<Cell>;
-// Words of a row without the cells that have no viewpoint.
+// Bits of the cells with viewpoints, in the layout of a row, for both grids.
 @group(1) @binding(5) var<storage, read> reached: array<u32>;
-// For each triangle its vertices; the first also holds the number of its side.
+// Three elements for each triangle: xyz of its vertices. The fourth word of the first element is the number
+// of the triangle's side.
 @group(1) @binding(6) var<storage, read> vertices: array<vec4<u32>>;
-// For each triangle the three beside it; then the triangles in Morton order.
+// For each triangle, its neighbours across the three edges, or SKY; then the triangles in Morton order.
 @group(1) @binding(7) var<storage, read> around: array<u32>;
 
-// Which cells of the division see which: a row for each slot. At the last barrier, and with all joined since.
+// The pairs of cells of the division that see each other, with a row for each slot: at the last barrier
+// (`pairs`), and with all pairs joined since (`joined`).
 @group(1) @binding(8) var<storage, read> pairs: array<u32>;
 @group(1) @binding(9) var<storage, read_write> joined: array<atomic<u32>>;
 
 @group(1) @binding(10) var<storage, read> rows: array<u32>;
 
 @group(2) @binding(0) var<uniform> part: Part;
-// The items of the phase: the cell's place, and three numbers that depend on the kind of lines.
+// The items of the phase: the index of a cell, and three numbers that depend on the kind of lines.
 @group(2) @binding(1) var<storage, read> items: array<vec4<u32>>;
-// Four counts for each item.
+// Four counts for each item, which depend on the kind of lines.
 @group(2) @binding(2) var<storage, read_write> stats: array<atomic<u32>>;
 @group(2) @binding(3) var<storage, read_write> counters: array<atomic<u32>>;
-// By hash of cell and triangle: the complement of the least number of a line that claims to be the first.
+// Claims by hash of cell and triangle (`claim_of`): the complement of the lowest number of a ray that shows
+// the triangle to the cell.
 @group(2) @binding(4) var<storage, read_write> claims: array<atomic<u32>>;
-// New triangles of a cell: item, triangle, what the eye is derived from (a tile of uniform lines, or the
-// candidate that a line was aimed at), number of the line.
+// Newly found triangles of a cell: item, triangle, source of the origin (the tile of uniform lines, or the
+// candidate at which the line was aimed), number of the ray.
 @group(2) @binding(5) var<storage, read_write> finds: array<vec4<u32>>;
-// Lines: origin and item; direction and target; two more numbers of each kind of lines.
+// Lines: origin and item (`line_from`), direction and target triangle (`line_to`), and two numbers that
+// depend on the kind of lines (`line_about`).
 @group(2) @binding(6) var<storage, read_write> line_from: array<vec4<u32>>;
 @group(2) @binding(7) var<storage, read_write> line_to: array<vec4<u32>>;
 @group(2) @binding(8) var<storage, read_write> line_about: array<vec2<u32>>;
-// For each line the triangles at its end ahead and at its end behind.
+// For each line, the triangle at its end ahead and the triangle at its end behind; SKY for an end without a
+// triangle.
 @group(2) @binding(9) var<storage, read_write> ends: array<u32>;
-// Candidates: item, triangle, tries, part of the sphere.
+// Candidates: item, triangle, number of planned attempts, fraction of the sphere as a float.
 @group(2) @binding(10) var<storage, read_write> candidates: array<vec4<u32>>;
-// The item of each slot, plus one; then the number of candidates of each stripe of triangles.
+// For each slot of the block, the number of its item plus one, or 0; then the number of candidates of each
+// stripe of triangles.
 @group(2) @binding(11) var<storage, read_write> places: array<atomic<u32>>;
-// Words with new bits: place of the 64-bit word, its low half, its high half.
+// Words with new bits: index of the 64-bit word in the table, its low half, its high half.
 @group(2) @binding(12) var<storage, read_write> words: array<u32>;
-// The same of the table of pairs.
+// Words with new bits in the table of pairs, in the same layout.
 @group(2) @binding(13) var<storage, read_write> pair_words: array<u32>;
-// For each line where its free part ends ahead and where it begins behind, in lengths of the direction. Two
-// threads write them, and a vector would be written as a whole.
+// For each line, the distances at which its free part ends ahead and begins behind, in lengths of the
+// direction. Two threads write the two numbers, so the array contains no vectors, which a thread writes as a
+// whole.
 @group(2) @binding(14) var<storage, read_write> reaches: array<f32>;
 
-// Both halves of each line.
+// Trace both halves of each line.
 const BOTH_WAYS: u32 = 0u;
-// The half ahead, which shows its cell a triangle.
+// Trace only the half ahead, and credit the cells that the line crosses.
 const AHEAD: u32 = 1u;
-// The half ahead, which credits nothing.
+// Trace only the half ahead, without credits.
 const SEGMENT: u32 = 2u;
 
-// Places in `counters`.
+// Indices in `counters`.
 const FINDS: u32 = 0u;
 const LINES: u32 = 1u;
 const WORDS: u32 = 2u;
 const CANDIDATES: u32 = 3u;
 const SEED_RAYS: u32 = 4u;
 const PAIR_WORDS: u32 = 5u;
-// Ends of lines at candidates that show their cells something new.
+// Number of ends of aimed lines that show a new triangle to the line's cell.
 const NEW_ENDS: u32 = 6u;
-// From here on, for each decade: tries, gain and attempts before, the last two as low and high half.
+// From this index on, five words for each decade: number of attempts, gain (low and high half), and earlier
+// attempts (low and high half).
 const TALLY: u32 = 8u;
 const TALLIED: u32 = 5u;
 const DECADES: u32 = 8u;
@@ -172,7 +189,7 @@ const JOIN: u32 = 7u;
 const AIM_FLOOD: u32 = 8u;
 
 const LANES: u32 = 16u;
-// Parts of a cell along each axis.
+// Number of parts of a cell along each axis.
 const PARTS: u32 = 4u;
 
 // Jarzynski and Olano 2020, "Hash Functions for GPU Rendering": pcg4d.
@@ -190,12 +207,12 @@ fn hashed(names: vec4<u32>) -> vec4<u32> {
     return v;
 }
 
-// In [0, 1), with 24 bits.
+// Returns a number in [0, 1) from the highest 24 bits.
 fn unit(bits: u32) -> f32 {
     return f32(bits >> 8u) * 5.9604644775390625e-8;
 }
 
-// Four random numbers of a cell's stream.
+// Returns four random words of the stream `stream` of a cell.
 fn drawn(cell: Cell, stream: u32, a: u32, b: u32) -> vec4<u32> {
     return hashed(vec4<u32>(cell.key_low ^ (stream * 0x9e3779b9u), cell.key_high, a, b));
 }
@@ -204,7 +221,7 @@ fn cell_of(item: u32) -> Cell {
     return cells[items[item].x];
 }
 
-// The place of a word of the triangle's row, in the tables of triangles.
+// Returns the index of a word of the triangle's row in the tables of triangles.
 fn word_at(triangle: u32, word: u32) -> u32 {
     var row = triangle;
     if block.has_rows != 0u {
@@ -213,7 +230,7 @@ fn word_at(triangle: u32, word: u32) -> u32 {
     return row * block.grids[OWN].words + word;
 }
 
-// Whether the cell with this slot had seen the triangle's item at the last barrier.
+// Returns true if the row of the triangle was credited to the cell with this slot before the last barrier.
 fn is_seen(triangle: u32, slot: u32) -> bool {
     return ((seen[word_at(triangle, slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
 }
@@ -222,14 +239,14 @@ fn is_met(triangle: u32, slot: u32) -> bool {
     return ((atomicLoad(&met[word_at(triangle, slot >> 5u)]) >> (slot & 31u)) & 1u) == 1u;
 }
 
-// Marks a triangle's item as met; whether it was not before.
+// Marks the row of the triangle as met by the cell. Returns true if the row was not marked before.
 fn mark(triangle: u32, slot: u32) -> bool {
     let bit = 1u << (slot & 31u);
     return (atomicOr(&met[word_at(triangle, slot >> 5u)], bit) & bit) == 0u;
 }
 
-// Where lines claim to be the first that shows a triangle to a cell. Two pairs that share a place share a
-// claim, and one of them is not flooded from; its credit stays.
+// Returns the index in `claims` at which rays claim to be the first to show a triangle to a cell. If two
+// pairs of a cell and a triangle have the same index, only one of them is flooded from; both are credited.
 fn claim_of(slot: u32, triangle: u32) -> u32 {
     return hashed(vec4<u32>(slot, triangle, 0x2545f491u, 0x68e31da4u)).x & part.mask;
 }
@@ -244,7 +261,8 @@ fn slot_of(grid: u32, c: vec3<u32>) -> u32 {
     return word * 64u + bit;
 }
 
-// The item whose things include number `number`: items hold the number of things before them in `w`.
+// Returns the item that contains element `number` (a tile or a line). The field `w` of an item is the number
+// of elements of all items before it.
 fn item_with(number: u32) -> u32 {
     var low = 0u;
     var high = part.items;
@@ -259,20 +277,20 @@ fn item_with(number: u32) -> u32 {
     return low;
 }
 
-// Whether viewpoints are everywhere in the cell.
+// Returns true if all parts of the cell contain viewpoints.
 fn is_whole(cell: Cell) -> bool {
     return all(cell.parts == vec2<u32>(0xffffffffu));
 }
 
-// A viewpoint at fractions of the cell's size, as Cell::point on the host: where only some parts of the cell
-// hold viewpoints, the first fraction chooses one of them as well.
+// Returns a viewpoint at fractions of the cell's size, like Cell::point on the host. If only some parts of
+// the cell contain viewpoints, the first fraction also selects one of these parts.
 fn point_in(cell: Cell, fractions: vec3<f32>) -> vec3<f32> {
     var f = fractions;
     if !is_whole(cell) {
         let low = countOneBits(cell.parts.x);
         let count = low + countOneBits(cell.parts.y);
         let place = f.x * f32(count);
-        // Rounding may give the number of parts itself.
+        // Rounding may result in the number of parts itself.
         var skip = min(u32(place), max(count, 1u) - 1u);
         let is_low = skip < low;
         var rest = select(cell.parts.y, cell.parts.x, is_low);
@@ -287,7 +305,8 @@ fn point_in(cell: Cell, fractions: vec3<f32>) -> vec3<f32> {
     return cell.low + cell.size * f;
 }
 
-// The eye of a tile of uniform lines: point `base + k` of the cell's sequence (Roberts 2018).
+// Returns the origin of a tile of uniform lines: the point of the cell's sequence (Roberts 2018) whose number
+// is `items[item].z` plus the tile's number within the item.
 fn eye_of(item: u32, tile: u32) -> vec3<f32> {
     let cell = cell_of(item);
     let number = items[item].z + (tile - items[item].w);
@@ -300,7 +319,7 @@ fn corner_of(triangle: u32, corner: u32) -> vec3<f32> {
     return bitcast<vec3<f32>>(vertices[3u * triangle + corner].xyz);
 }
 
-// A random point of a triangle, uniform over its area up to rounding.
+// Returns a random point of a triangle, uniform over the triangle's area up to rounding.
 fn point_on(triangle: u32, random: vec2<u32>) -> vec3<f32> {
     var a = unit(random.x);
     var b = unit(random.y);

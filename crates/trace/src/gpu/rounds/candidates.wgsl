@@ -1,20 +1,21 @@
-// Candidates of cells and the lines aimed at them, as lines/candidates.rs on the host, but each line has an
-// eye of its own, and all triangles at the border of an item are candidates, not only the largest. Follows
-// cast.wgsl.
+// Candidates of cells, and the lines aimed at candidates. The kernels work like lines/candidates.rs on the
+// host, with two differences: each line has a separate origin, and all triangles at the border of an item are
+// candidates, not only the largest ones. Needs cast.wgsl.
 //
-// Items: the cell; the least part of the sphere that a candidate must cover, as a float; uniform rays of the
-// cell, as a float. Counts of an item: rays, finds, rays of the flood, finds of the flood.
+// Fields of an item: index of the cell; minimum fraction of the sphere that a candidate covers, as a float;
+// number of uniform rays of the cell, as a float. Counts of an item: rays, newly found triangles, rays of the
+// flood, newly found triangles of the flood.
 
 const STRIPE: u32 = 4096u;
-// Greatest distance of an origin from the face it is close to, as a part of the cell's size.
+// Maximum distance of an origin from its face, as a fraction of the cell's size.
 const DEPTH: f32 = 0.1;
-// Least cosine in a triangle's solid angle.
+// Minimum cosine in a triangle's solid angle.
 const LEAST_FACING: f32 = 0.25;
-// Gains and attempts are counted in these parts of one.
+// Units of the counters: a counter of gains counts 1/GAIN_UNITS, and a counter of attempts 1/ATTEMPT_UNITS.
 const GAIN_UNITS: f32 = 262144.0;
 const ATTEMPT_UNITS: f32 = 256.0;
-// More attempts than these are not told apart. A workgroup has at most 3072 lines, so its sums stay below
-// 3072 · 4096 · 256 and 3072 · 4 · 2^18, which 32 bits hold.
+// Maximum counted number of earlier attempts. A workgroup has at most 3072 lines, so its sums stay below 3072
+// · 4096 · 256 and 3072 · 4 · 2^18, which fit 32 bits.
 const MOST_ATTEMPTS: f32 = 4096.0;
 
 @compute @workgroup_size(64)
@@ -24,7 +25,7 @@ fn place_items(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     }
 }
 
-// 64 bits, low half first.
+// Shifts a word of 64 bits, low half first, to higher bits.
 fn shifted_up(v: vec2<u32>, by: u32) -> vec2<u32> {
     if by >= 64u {
         return vec2<u32>(0u);
@@ -51,8 +52,8 @@ fn shifted_down(v: vec2<u32>, by: u32) -> vec2<u32> {
     return vec2<u32>((v.x >> by) | (v.y << (32u - by)), v.y >> by);
 }
 
-// A word of a row: that of a triangle, or that of a slot in the table of pairs when the grid is the
-// division's.
+// Returns a word of 64 bits of a row. In the grid OWN, `row` is a triangle; in the grid DIVISION, `row` is a
+// slot of the table of pairs.
 fn word_of(grid: u32, row: u32, word: u32) -> vec2<u32> {
     if grid == DIVISION {
         let at = row * block.grids[DIVISION].words + 2u * word;
@@ -62,7 +63,8 @@ fn word_of(grid: u32, row: u32, word: u32) -> vec2<u32> {
     return vec2<u32>(seen[at], seen[at + 1u]);
 }
 
-// The cells of a word in the row, and their face neighbours, as CellGrid::dilated.
+// Returns the cells of a word in the row together with their face neighbours, like CellGrid::dilated on the
+// host.
 fn dilated(grid: u32, row: u32, word: u32) -> vec2<u32> {
     let bricks = block.grids[grid].bricks;
     let places_of =
@@ -88,7 +90,8 @@ fn dilated(grid: u32, row: u32, word: u32) -> vec2<u32> {
     return near;
 }
 
-// The cells of a word that do not see the triangle, but one beside it, and have a neighbour that sees it.
+// Returns the cells of a word that do not see the triangle, see a neighbour of the triangle, and have a
+// neighbouring cell that sees the triangle.
 fn cells_beside(triangle: u32, word: u32) -> vec2<u32> {
     var near = vec2<u32>(0u);
     for (var edge = 0u; edge < 3u; edge++) {
@@ -104,14 +107,14 @@ fn cells_beside(triangle: u32, word: u32) -> vec2<u32> {
     return near & dilated(OWN, triangle, word);
 }
 
-// The part of the sphere that the triangle would cover as seen from the cell's centre.
+// Returns the fraction of the sphere around the cell's centre that the triangle would cover.
 fn part_of_sphere(cell: Cell, triangle: u32) -> f32 {
     let a = corner_of(triangle, 0u);
     let b = corner_of(triangle, 1u);
     let c = corner_of(triangle, 2u);
     let area = cross(b - a, c - a) * 0.5;
     let to = cell.low + cell.size * 0.5 - (a + b + c) / 3.0;
-    // Within the cell's own extent the distance from its centre means nothing.
+    // Within the cell's own extent, the distance from the cell's centre has no meaning.
     let far = max(dot(to, to), dot(cell.size, cell.size) / 12.0);
     let facing = max(abs(dot(to, area)) / sqrt(far), LEAST_FACING * length(area));
     return facing / far * 0.07957747;
@@ -127,7 +130,8 @@ fn decade_of(share: f32) -> u32 {
     return decade;
 }
 
-// Calls for each candidate of a triangle and a word: counts them, or lists them.
+// Counts the candidates of a triangle for the cells of a word. If `list` is true, also appends them to
+// `candidates`. `ordinal` is the index of the triangle in Morton order.
 fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
     let triangle = around[3u * block.triangles + ordinal];
     var rest = cells_beside(triangle, word);
@@ -164,7 +168,7 @@ fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
     return found;
 }
 
-// For each stripe of triangles the number of its candidates.
+// Counts the candidates of each stripe of triangles.
 @compute @workgroup_size(64)
 fn count_candidates(
     @builtin(global_invocation_id) id: vec3<u32>,
@@ -179,7 +183,7 @@ fn count_candidates(
     }
 }
 
-// The candidates of the triangles from `first` on.
+// Lists the candidates of `part.count` triangles in Morton order, from index `part.first` on.
 @compute @workgroup_size(64)
 fn list_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let each = block.grids[OWN].words / 2u;
@@ -188,7 +192,8 @@ fn list_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wo
     }
 }
 
-// Whether the cell beyond a face of `cell` sees the triangle. Face: along axis face / 2, upwards where even.
+// Returns true if the cell beyond a face of `cell` sees the triangle. The face is along axis `face / 2`, in
+// positive direction if `face` is even.
 fn sees_beyond(cell: Cell, face: u32, triangle: u32) -> bool {
     var at = vec3<i32>(cell.at);
     at[face / 2u] += select(-1, 1, face % 2u == 0u);
@@ -198,12 +203,12 @@ fn sees_beyond(cell: Cell, face: u32, triangle: u32) -> bool {
     return is_seen(triangle, slot_of(OWN, vec3<u32>(at)));
 }
 
-// A point close to one of the faces through which neighbours see the triangle: a point of that face belongs
-// to both cells.
+// Returns a point close to a random face of those through which neighbouring cells see the triangle. A point
+// of such a face belongs to both cells.
 fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
     var at = vec3<f32>(unit(random.x), unit(random.y), unit(random.z));
     if !is_whole(cell) {
-        // Its viewpoints need not reach the faces.
+        // The viewpoints of such a cell need not reach its faces.
         return point_in(cell, at);
     }
     var faces = 0u;
@@ -222,7 +227,7 @@ fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
     return cell.low + cell.size * at;
 }
 
-// The eye from which a candidate is tried in this round, by the number of the try.
+// Returns the origin of attempt `part.time` at a candidate in this round.
 fn eye_at_try(cell: Cell, triangle: u32) -> vec3<f32> {
     return eye_near_a_face(cell, triangle, drawn(cell, AIM ^ (part.round << 4u), triangle, 2u * part.time));
 }
@@ -244,14 +249,14 @@ fn make_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// The number of a half of a line at a candidate, among those of its cell in a try. The flood triples it with
-// each step; in scenes of more than 26 million triangles it wraps, and where two lines then have the same
-// number and target, both are cast.
+// Returns the number of a half of an aimed line, unique within the cell and the attempt. Each step of the
+// flood triples the number. In scenes of more than 26 million triangles, the number wraps; if two lines then
+// have the same number and target, both are cast.
 fn number_of_half(line: u32, half: u32) -> u32 {
     return 2u * line_to[line].w + half;
 }
 
-// Lets every ray that shows its cell a new triangle claim it.
+// Lets every ray that shows a new triangle to its cell claim the triangle.
 @compute @workgroup_size(64)
 fn claim_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = 2u * atomicLoad(&counters[LINES]);
@@ -269,10 +274,10 @@ fn claim_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     }
 }
 
-// Sums of a workgroup, by decade: tries, gain, attempts before.
+// Sums of a workgroup, three for each decade: number of attempts, gain, number of earlier attempts.
 var<workgroup> sums: array<atomic<u32>, 24>;
 
-// A part of the sphere in the middle of a decade.
+// Returns a fraction of the sphere in the middle of a decade.
 fn middle_of(decade: u32) -> f32 {
     var middle = 0.3;
     for (var i = 0u; i < decade; i++) {
@@ -340,7 +345,8 @@ fn gather_aimed(
     }
 }
 
-// The flood from what lines at candidates find, each from the eye of its line.
+// Creates the lines of the flood from the triangles that aimed lines found, each from the origin of the line
+// that found the triangle.
 @compute @workgroup_size(64)
 fn make_aimed_flood(
     @builtin(global_invocation_id) id: vec3<u32>,
@@ -356,7 +362,8 @@ fn make_aimed_flood(
         let number = 3u * find.w + j % 3u;
         let cell = cell_of(find.x);
         let eye = eye_at_try(cell, find.z);
-        // The lines of the next try have the same numbers.
+        // The lines of the next attempt have the same numbers, so the number of the attempt selects other
+        // random numbers.
         let names = vec2<u32>(AIM_FLOOD ^ (part.round << 4u), number ^ (part.time * 0x85ebca6bu));
         let to = point_on(next, drawn(cell, names.x, next, names.y).xy);
         let at = atomicAdd(&counters[LINES], 1u);

@@ -1,29 +1,30 @@
-// Traces lines in both directions, and credits all cells that the free part of each crosses with the
-// triangles at its ends. Follows block.wgsl. The same as Block::credit_line of lines/block.rs on the host,
-// and CellGrid::walk of lines/grid.rs, operation for operation.
+// Traces lines in both directions, and credits all cells that the free part of a line crosses with the
+// triangles at the line's ends. The operations and their order are the same as in Block::credit_line
+// (lines/block.rs) and CellGrid::walk (lines/grid.rs) on the host. Needs block.wgsl.
 
-// Whether lines end at a distance or some triangles have one side, so that the halves of a line are credited
-// by themselves; and whether a half is free in its own direction alone.
+// HALVES: true if lines end at a distance or some triangles have one side, so that the halves of a line are
+// credited separately. ONE_WAY: true if some triangles have one side, so that a half is free only in its own
+// direction.
 override HALVES: bool = false;
 override ONE_WAY: bool = false;
 
 // Four units in the last place.
 const OVERLAP: f32 = 4.76837158203125e-7;
 
-// The same number; no compiler may merge the operation that gave it with the next one.
+// Returns `v` unchanged. The compiler cannot fuse the operation that computed `v` with the next operation.
 fn rounded(v: vec3<f32>) -> vec3<f32> {
     return bitcast<vec3<f32>>(bitcast<vec3<u32>>(v) ^ vec3<u32>(block.zero));
 }
 
-// 1 / x as the host rounds it. A device's quotient may be off by 2.5 units in the last place; one step of
-// Newton's method with a fused remainder corrects that, except beyond the range of its terms.
+// Returns 1 / x, rounded as on the host. A device's quotient may be off by 2.5 units in the last place; one
+// step of Newton's method with a fused remainder corrects that, except beyond the range of its terms.
 fn reciprocal(x: f32) -> f32 {
     let near = 1.0 / x;
     let size = abs(near);
     return select(near, fma(fma(-x, near, 1.0), near, near), size > 1e-30 && size < 1e30);
 }
 
-// The square root of x, corrected likewise.
+// Returns the square root of x, corrected in the same way.
 fn root(x: f32) -> f32 {
     let near = sqrt(x);
     return select(near, fma(fma(-near, near, x), 0.5 / near, near), near > 1e-15 && near < 1e15);
@@ -45,23 +46,23 @@ fn add(triangle: u32, word: u32, bits: u32) {
     }
 }
 
-// A walk of a segment through the cells of a grid (Amanatides and Woo 1987).
+// The traversal of the cells of a grid that a segment crosses (Amanatides and Woo 1987).
 struct Walk {
     cell: vec3<i32>,
     step: vec3<i32>,
     next: vec3<f32>,
     delta: vec3<f32>,
-    // Least length of a part that counts.
+    // Minimum length of the segment in a crossed cell, in lengths of the direction.
     margin: f32,
     t: f32,
     end: f32,
-    // The bits of a word that are not handed out yet; SKY for none.
+    // The index of a word and its bits that `advance` has not returned yet; SKY without such a word.
     word: u32,
     bits: u32,
     is_over: bool,
 }
 
-// The cells of a word that a segment crosses; SKY as the word when there are no more.
+// The index of a word, and the bits of its cells that a segment crosses; the index SKY after the last word.
 struct Crossed {
     word: u32,
     bits: u32,
@@ -110,7 +111,7 @@ fn walk(grid: u32, origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f3
     return w;
 }
 
-// The next word of the walk.
+// Continues the traversal, and returns the next word.
 fn advance(grid: u32, kept: ptr<function, Walk>) -> Crossed {
     var w = *kept;
     var out = Crossed(SKY, 0u);
@@ -150,7 +151,8 @@ fn advance(grid: u32, kept: ptr<function, Walk>) -> Crossed {
     return out;
 }
 
-// Credits the cells that the line crosses between two distances with up to two triangles.
+// Credits the cells that the line crosses between the distances `least` and `most` with the triangles `a` and
+// `b`; SKY for no triangle.
 fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32, b: u32) {
     var w = walk(OWN, origin, direction, least, most);
     loop {
@@ -164,7 +166,7 @@ fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32
     }
 }
 
-// A hit that lies beyond the end of the line becomes sky at its end.
+// Returns the hit, or SKY at the distance `far` if the hit is beyond the end of the line.
 fn ended(hit: Hit, far: f32) -> Hit {
     if HALVES && (hit.id == SKY || hit.distance > far) {
         return Hit(far, SKY);
@@ -172,8 +174,8 @@ fn ended(hit: Hit, far: f32) -> Hit {
     return hit;
 }
 
-// Traces the rays of all lines: first the halves ahead, then those behind, so that neighbouring threads trace
-// neighbouring rays.
+// Traces the rays of all lines: first all halves ahead, then all halves behind, so that neighbouring threads
+// trace neighbouring rays.
 @compute @workgroup_size(128)
 fn trace_rays(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(atomicLoad(&counters[LINES]), 3u * block.capacity);
@@ -231,7 +233,7 @@ fn credit_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
             credit(origin, direction, least, most, ahead, behind);
             continue;
         }
-        // Each triangle shows up to that distance on both sides of it.
+        // Each triangle is visible up to the distance `far` on both sides of the triangle.
         var far = FAR;
         if block.far < FAR {
             far = block.far / length(direction);

@@ -1,20 +1,22 @@
-// Which cells of the division see which, as lines/pairs.rs and lines/joining.rs on the host: lines that look
-// for triangles join the cells that they cross, and segments between random points of two cells do. Follows
-// others.wgsl.
+// The pairs of cells of the division that see each other, like lines/pairs.rs and lines/cell_joins.rs on the
+// host. Lines that search for triangles join the cells that they cross, and so do segments between random
+// points of two cells. Needs candidates.wgsl and others.wgsl.
 //
-// Items of segments: the cell's place in the division; most segments from a cell; whether at any later cell.
-// Counts of an item: segments, segments that reach their end, later cells that could be aimed at.
+// Fields of an item of segments: number of the cell in the division; maximum number of segments from the
+// cell; 1 to aim at any later cell, 0 to aim at open pairs. Counts of an item: segments, segments that reach
+// their end, later cells at which the item can aim.
 
-// Words whose cells a line joins with each other; those beyond are left to other lines.
+// Maximum number of words whose cells a line joins with each other. Other lines join the cells of further
+// words.
 const MOST_WORDS: u32 = 48u;
-// Least segments in a round from all cells together, as on the host.
+// Minimum number of segments per round from all cells together, as on the host.
 const LEAST_SEGMENTS: u32 = 65536u;
-// From this round on only cells are aimed at of which a neighbour is a pair.
+// The first round in which segments aim only at cells of which a neighbour is joined.
 const WHOLE_ROUNDS: u32 = 2u;
 
 var<private> met_words: array<Crossed, MOST_WORDS>;
 
-// Notes the cells of the division that a segment crosses; returns the number of words.
+// Stores the cells of the division that a segment crosses in `met_words`. Returns the number of words.
 fn crossed_words(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32) -> u32 {
     var w = walk(DIVISION, origin, direction, least, most);
     var count = 0u;
@@ -29,7 +31,7 @@ fn crossed_words(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32)
     return count;
 }
 
-// Joins all cells of the noted words.
+// Joins all cells of the first `count` entries of `met_words` with each other.
 fn join_words(count: u32) {
     for (var i = 0u; i < count; i++) {
         var rest = met_words[i].bits;
@@ -47,12 +49,12 @@ fn join_words(count: u32) {
     }
 }
 
-// Joins the cells that some of the lines cross.
+// Joins the cells that a part of the lines crosses: one line in `part.joins`.
 @compute @workgroup_size(64)
 fn join_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = atomicLoad(&counters[LINES]);
     for (var i = id.x; i < count; i += groups.x * 64u) {
-        // The line itself decides, not its place in the list.
+        // The hash of the line decides, because its index in the list depends on timing.
         if hashed(line_to[i] ^ line_from[i]).x % part.joins != 0u {
             continue;
         }
@@ -73,7 +75,8 @@ fn join_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// Joins a cell that the segment crosses with all others that it crosses, however many words they are in.
+// Joins a cell that the segment crosses with all other cells that the segment crosses, without a maximum
+// number of words.
 fn join_one(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) {
     var w = walk(DIVISION, origin, direction, 0.0, most);
     let words_of_row = block.grids[DIVISION].words;
@@ -92,7 +95,8 @@ fn join_one(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) {
     }
 }
 
-// Whether the segment crosses a cell, and whether it crosses one that is no pair with it.
+// Returns two values: true if the segment crosses the cell with this slot, and true if the segment crosses a
+// cell that forms no pair with it.
 fn meets(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) -> vec2<bool> {
     let row = slot * block.grids[DIVISION].words;
     var w = walk(DIVISION, origin, direction, 0.0, most);
@@ -108,14 +112,15 @@ fn meets(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) -> vec2<
     return has;
 }
 
-// Counts held-out lines that cross a cell which is no pair with their own, and joins.
+// Counts held-out lines that cross a cell which forms no pair with the line's own cell, and joins the crossed
+// cells.
 @compute @workgroup_size(64)
 fn check_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
         let item = line_from[i].w;
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
-        // The cell of the block as a cell of the division.
+        // The slot, in the division, of the line's cell of the block.
         let slot = items[item].y;
         let end = reaches[2u * i];
         let has = meets(slot, origin, direction, end);
@@ -129,7 +134,7 @@ fn check_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     }
 }
 
-// The coordinates of the cell with a slot; beyond the grid where no cell has it.
+// Returns the coordinates of the cell with a slot. They are outside the grid if no cell has the slot.
 fn cell_at(grid: u32, slot: u32) -> vec3<u32> {
     let side = block.grids[grid].side;
     let bricks = block.grids[grid].bricks;
@@ -153,7 +158,7 @@ fn is_reached(slot: u32) -> bool {
     return ((reached[block.grids[DIVISION].first_word + (slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
 }
 
-// The later cells of a word that an item's segments may aim at.
+// Returns the later cells of a word (cells with larger numbers) at which the segments of an item can aim.
 fn aims(item: u32, word: u32) -> vec2<u32> {
     let own = cells[block.grids[DIVISION].first_cell + items[item].x];
     var bits = vec2<u32>(0xffffffffu);
@@ -270,7 +275,7 @@ fn gather_segments(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wo
         }
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
-        // In every second round a segment begins in the other cell.
+        // In every second round, a segment begins in the other cell, so the item determines the own cell.
         let slot = cells[block.grids[DIVISION].first_cell + items[item].x].slot;
         if all(meets(slot, origin, direction, end)) {
             join_one(slot, origin, direction, end);

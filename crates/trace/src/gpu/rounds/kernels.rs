@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use crate::gpu::line_scene::DeviceLineScene;
-use crate::gpu::pipelines::{Fault, buffer, entry, scoped_by_kind};
+use crate::gpu::pipelines::{DeviceFault, buffer, entry, scoped_by_kind};
 
-/// Storage buffers that a kernel binds: the scene's six, the block's ten and the lists' fourteen.
+/// The number of storage buffers that a kernel binds: the scene's six, the block's ten and the lists'
+/// fourteen.
 pub(super) const STORAGE_BUFFERS: u32 = 30;
 
 /// The kernels, by their entry points.
@@ -41,7 +42,7 @@ pub(super) enum Kernel {
     GatherSegments,
 }
 
-/// Every kernel in the order of [`Kernel`], with the name of its entry point.
+/// The names of the entry points, in the order of [`Kernel`].
 pub(super) const ENTRY_POINTS: [&str; 28] = [
     "make_uniform",
     "trace_rays",
@@ -83,7 +84,7 @@ const SOURCE: &str = concat!(
     include_str!("join.wgsl"),
 );
 
-/// Pipelines for the blocks of one scene.
+/// The pipelines for the blocks of a scene.
 pub(super) struct Kernels {
     pipelines: Vec<wgpu::ComputePipeline>,
     pub(super) tables_layout: wgpu::BindGroupLayout,
@@ -94,23 +95,24 @@ impl Kernels {
     /// Compiles the kernels. `halves` and `one_way` are the constants of `cast.wgsl`.
     ///
     /// # Errors
-    /// What the device reports.
+    /// [`DeviceFault`] if the device cannot compile the kernels.
     pub(super) fn new(
         device: &wgpu::Device,
         scene: &DeviceLineScene,
-        (halves, one_way): (bool, bool),
-    ) -> Result<Self, Fault> {
+        halves: bool,
+        one_way: bool,
+    ) -> Result<Self, DeviceFault> {
         let flags = [("HALVES", halves), ("ONE_WAY", one_way)]
             .map(|(name, is)| (name, f64::from(u8::from(is))));
         Self::with(device, scene, &[&scene.constants[..], &flags].concat())
     }
 
-    /// The same with all constants of the shaders.
+    /// Compiles the kernels with all constants of the shaders.
     pub(super) fn with(
         device: &wgpu::Device,
         scene: &DeviceLineScene,
         constants: &[(&str, f64)],
-    ) -> Result<Self, Fault> {
+    ) -> Result<Self, DeviceFault> {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = |dynamic| buffer(wgpu::BufferBindingType::Uniform, dynamic);
@@ -143,8 +145,8 @@ impl Kernels {
                 label: Some("rounds"),
                 source: wgpu::ShaderSource::Wgsl(SOURCE.into()),
             });
-            // Compiling takes a driver most of the time that a small block takes, so all threads do it. Each
-            // watches for errors itself.
+            // Compiling needs most of the time of a small block, so all threads compile. Each thread watches
+            // for errors itself.
             let pipelines = ENTRY_POINTS.par_iter().map(|name| {
                 scoped_by_kind(device, || {
                     Ok(
@@ -162,7 +164,7 @@ impl Kernels {
                     )
                 })
             });
-            let pipelines = pipelines.collect::<Result<_, Fault>>()?;
+            let pipelines = pipelines.collect::<Result<_, DeviceFault>>()?;
             Ok(Self {
                 pipelines,
                 tables_layout: tables,

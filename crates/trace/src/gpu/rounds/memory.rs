@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_scene::TriangleId;
 
 use super::kernels::Kernels;
 use crate::gpu::line_scene::filled;
@@ -10,18 +11,18 @@ use crate::lines::device::DECADES;
 use crate::lines::device::{DeviceBlock, DeviceCell};
 use crate::lines::grid::CellGrid;
 
-/// Bytes between two parts in their buffer: the largest alignment that a device may require.
+/// The number of bytes between two parts in their buffer: the largest alignment that a device may require.
 pub(super) const PART_STRIDE: u64 = 256;
-/// Parts that fit in their buffer; a later one takes the place of the one so many before.
+/// The number of parts that fit in their buffer. Later parts overwrite the oldest parts.
 pub(super) const PARTS: u32 = 256;
-/// Bytes of the counters, as `block.wgsl` numbers them.
+/// The size of the counters in bytes, as `block.wgsl` numbers them.
 pub(super) const COUNTER_BYTES: u64 = 4 * (8 + 5 * DECADES as u64);
-/// Triangles of a stripe of candidates, as in `candidates.wgsl`.
+/// The number of triangles of a stripe of candidates, as in `candidates.wgsl`.
 pub(super) const STRIPE: usize = 4096;
-/// Stand-in for an infinite distance, as in `traverse.wgsl`.
+/// The substitute for an infinite distance, as in `traverse.wgsl`.
 const FAR: f32 = 3e38;
 
-/// `Grid` in `block.wgsl`.
+/// The uniform `Grid` in `block.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct GridUniform {
@@ -39,7 +40,7 @@ struct GridUniform {
 }
 
 impl GridUniform {
-    /// A grid whose first cell and first word have these places in their buffers.
+    /// Creates a grid whose first cell and first word have these places in their buffers.
     fn new(grid: &CellGrid, first_cell: usize, first_word: usize) -> Self {
         let shape = grid.shape();
         Self {
@@ -58,7 +59,7 @@ impl GridUniform {
     }
 }
 
-/// `Block` in `block.wgsl`.
+/// The uniform `Block` in `block.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct BlockUniform {
@@ -75,7 +76,7 @@ struct BlockUniform {
     unused: [u32; 2],
 }
 
-/// `Part` in `block.wgsl`.
+/// The uniform `Part` in `block.wgsl`.
 #[derive(Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Part {
@@ -92,13 +93,13 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Bytes of the claims that the part uses.
+    /// Returns the size of the part's hash table of claims, in bytes.
     pub(super) fn bytes_of_claims(&self) -> u64 {
         4 * (u64::from(self.mask) + 1)
     }
 }
 
-/// `Cell` in `block.wgsl`.
+/// The record `Cell` in `block.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct CellRecord {
@@ -112,11 +113,11 @@ struct CellRecord {
     unused: [u32; 2],
 }
 
-fn halves(of: u64) -> [u32; 2] {
-    [of as u32, (of >> 32) as u32]
+fn halves(number: u64) -> [u32; 2] {
+    [number as u32, (number >> 32) as u32]
 }
 
-/// What the kernels know of a scene beside its hierarchy.
+/// The facts about a scene that the kernels need in addition to its hierarchy.
 pub(super) struct Facts {
     vertices: wgpu::Buffer,
     around: wgpu::Buffer,
@@ -129,7 +130,7 @@ impl Facts {
         let scene = block.scene;
         let ids: Vec<u32> = (0..scene.len()).collect();
         let corners = |id: &u32| -> [[u32; 4]; 3] {
-            let side = scene.sides().side(*id) as u32;
+            let side = scene.sides().side(TriangleId(*id)) as u32;
             scene.triangles()[*id as usize].v.map(|v| {
                 let [x, y, z] = v.to_array().map(f32::to_bits);
                 [x, y, z, side]
@@ -152,13 +153,13 @@ impl Facts {
         })
     }
 
-    /// Bytes of the largest buffer for a scene.
+    /// Returns the size of the largest buffer for a scene, in bytes.
     pub(super) fn most_bytes(block: &DeviceBlock<'_>) -> u64 {
         u64::from(block.scene.len()) * 48
     }
 }
 
-/// The table of a block, and its cells.
+/// The table of a block, and the cells of the block.
 pub(super) struct Tables {
     pub(super) seen: wgpu::Buffer,
     pub(super) now: wgpu::Buffer,
@@ -166,18 +167,18 @@ pub(super) struct Tables {
     pub(super) pairs: wgpu::Buffer,
     pub(super) joined: wgpu::Buffer,
     pub(super) group: wgpu::BindGroup,
-    /// 64-bit words of the table.
+    /// The number of 64-bit words of the table.
     pub(super) places: u32,
-    /// 64-bit words of the table of pairs; 0 without pairs.
+    /// The number of 64-bit words of the table of pairs; 0 without pairs.
     pub(super) pair_places: u32,
-    /// 64-bit words of a row.
+    /// The number of 64-bit words of a row.
     pub(super) words: u32,
-    /// Triangles in Morton order.
+    /// The number of triangles in Morton order.
     pub(super) ordered: u32,
 }
 
 impl Tables {
-    /// Bytes of a table.
+    /// Returns the size of a table in bytes.
     pub(super) fn bytes(block: &DeviceBlock<'_>) -> u64 {
         block.row_count as u64 * block.grid.words() as u64 * 8
     }
@@ -212,7 +213,7 @@ impl Tables {
         let record = |c: &DeviceCell| {
             let [key_low, key_high] = halves(c.key);
             let slot = c.slot.index() as u32;
-            // From a cell without viewpoints only segments are cast, from anywhere.
+            // From a cell without viewpoints only segments are cast, from any point of the cell.
             let parts = halves(if c.parts == 0 { u64::MAX } else { c.parts });
             CellRecord {
                 low: c.low,
@@ -279,7 +280,7 @@ impl Tables {
         })
     }
 
-    /// Bytes of the table of pairs; 0 without pairs.
+    /// Returns the size of the table of pairs in bytes; 0 without pairs.
     pub(super) fn pair_bytes(block: &DeviceBlock<'_>) -> u64 {
         let words = block
             .pairs
@@ -289,7 +290,7 @@ impl Tables {
     }
 }
 
-/// Lists whose size does not depend on a block.
+/// The lists whose size does not depend on a block.
 pub(super) struct Lists {
     pub(super) counters: wgpu::Buffer,
     pub(super) claims: wgpu::Buffer,
@@ -307,8 +308,8 @@ pub(super) struct Lists {
 }
 
 impl Lists {
-    /// Lists that hold `capacity` finds, three times as many lines, candidates and words, and claims of eight
-    /// times as many.
+    /// Creates lists for `capacity` newly found triangles, three times as many lines, candidates and words,
+    /// and claims of eight times as many.
     pub(super) fn new(device: &wgpu::Device, capacity: u32) -> Self {
         use wgpu::BufferUsages as Use;
         let make = |label, size, usage| {
@@ -346,14 +347,14 @@ impl Lists {
         }
     }
 
-    /// Bytes of the largest list.
+    /// Returns the size of the largest list in bytes.
     pub(super) fn most_bytes(capacity: u32) -> u64 {
         48 * u64::from(capacity)
     }
 }
 
-/// The lists as a block uses them, with those whose size depends on it.
-pub(super) struct Lent {
+/// The lists of a block: the lent lists, and the lists whose size depends on the block.
+pub(super) struct BlockLists {
     pub(super) lists: Lists,
     pub(super) items: wgpu::Buffer,
     pub(super) stats: wgpu::Buffer,
@@ -361,7 +362,7 @@ pub(super) struct Lent {
     pub(super) group: wgpu::BindGroup,
 }
 
-impl Lent {
+impl BlockLists {
     pub(super) fn new(
         device: &wgpu::Device,
         kernels: &Kernels,
@@ -417,7 +418,7 @@ impl Lent {
     }
 }
 
-impl std::ops::Deref for Lent {
+impl std::ops::Deref for BlockLists {
     type Target = Lists;
 
     fn deref(&self) -> &Lists {
@@ -445,7 +446,7 @@ fn bind(
     })
 }
 
-/// The words of a table that have bits: place, low half, high half.
+/// Returns the words of a table that have bits: place, low half, high half.
 pub(super) fn filled_words(words: &[u64]) -> Vec<[u32; 3]> {
     let some = words.par_iter().enumerate().filter(|(_, word)| **word != 0);
     some.map(|(at, word)| [at as u32, *word as u32, (*word >> 32) as u32])

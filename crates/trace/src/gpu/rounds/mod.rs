@@ -1,22 +1,23 @@
-//! Rounds of sight lines that stay on the device: the kernels make lines, trace them, credit the cells of the
-//! block and count; the host hears what is new in the table and a few numbers a cell.
+//! Rounds of sight lines that stay on the device. The kernels create lines, trace them, credit the cells of
+//! the block and count. The host receives only the new bits of the table and a few numbers per cell.
 //!
-//! A phase is worked on in parts of so many lines ([`GpuRounds`]). For uniform lines a part is: make the
-//! lines; cast them; let each ray that shows its cell a new triangle claim it; gather the claims that stand.
-//! Then, four times: claim what lies beside the finds; make lines to it; cast; claim; gather. Claims make the
-//! result independent of time: of all lines with a claim, the one with the least number has it. For
-//! candidates a part is: list those of some triangles; then, as often as the plan says: make lines to those
-//! that no line has met yet; cast; gather.
+//! A phase is divided into parts with a limited number of lines ([`GpuRounds`]). For uniform lines, the
+//! kernels of a part create the lines and cast them. Each ray that shows its cell a new triangle claims the
+//! triangle. The kernels then gather the winning claims. Four times, they then claim the neighbours of the
+//! found triangles, create lines to them, cast, claim and gather. Claims make the result independent of time:
+//! of all lines with a claim, the line with the lowest number wins. For candidates, the kernels of a part
+//! list the candidates of some triangles. As often as the plan requires, they create lines to the candidates
+//! that no line has met yet, cast and gather.
 //!
-//! Lines are cast by two kernels, one with a thread for each ray and one that walks through the cells; where
-//! pairs of cells are looked for, a third joins the cells that some of the lines cross.
+//! Two kernels cast lines: one with a thread per ray, and one that traverses the cells. If pairs of cells are
+//! searched, a third kernel joins the cells that some of the lines cross.
 //!
-//! When a phase is over, the words of the table with new bits go to the host, and the new table becomes that
-//! of the last barrier.
+//! At the end of a phase, the host reads the words of the table with new bits, and the new table becomes the
+//! table of the last barrier.
 
-mod ending;
 mod kernels;
 mod memory;
+mod phase_end;
 mod phases;
 mod profile;
 
@@ -25,30 +26,32 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::time::Instant;
 
 use kernels::{Kernel, Kernels, STORAGE_BUFFERS};
-use memory::{Facts, Lent, Lists, PART_STRIDE, PARTS, Part, Tables};
+use memory::{BlockLists, Facts, Lists, PART_STRIDE, PARTS, Part, Tables};
 use profile::Profile;
 
 use super::device::{Gpu, PATIENCE};
 use super::line_scene::DeviceLineScene;
 use super::locks::lock;
-use super::pipelines::{Fault, scoped_by_kind};
-use crate::error::BackendError;
+use super::pipelines::{DeviceFault, scoped_by_kind};
+use crate::error::TracerError;
 use crate::lines::device::{DeviceBlock, Traffic};
 
-/// Finds that a list holds: on a GPU as many as keep it busy, on a software rasteriser few, since each part
-/// clears its claims.
+/// The number of newly found triangles that a list contains. On a GPU it is large enough to keep the device
+/// busy. On a software rasteriser it is small, because each part clears its claims.
 const CAPACITY: u32 = 1 << 20;
 const SOFTWARE_CAPACITY: u32 = 1 << 16;
-/// Workgroups of a kernel; each thread takes every so many-th thing.
+/// The number of workgroups of a kernel. Each thread processes elements at a stride of the number of threads.
 const GROUPS: u32 = 4096;
 const SOFTWARE_GROUPS: u32 = 64;
-/// Parts that the device may lag behind.
+/// The number of parts by which the device may lag behind.
 const IN_FLIGHT: usize = 3;
-/// What the blocks of a scene share: kernels, facts and spare lists.
+/// The data that the blocks of a scene share: kernels, facts and spare lists.
 #[derive(Default)]
 pub(super) struct RoundsKit {
-    /// By whether the halves of a line are credited by themselves, and whether a half is free in its own
-    /// direction alone.
+    /// The kernels for each combination of two properties.
+    ///
+    /// The properties are that the halves of a line are credited separately, and that a half is free only in
+    /// its own direction.
     kernels: [Mutex<Option<Arc<Kernels>>>; 4],
     facts: Mutex<Option<Arc<Facts>>>,
     spare: Mutex<Vec<Lists>>,
@@ -62,14 +65,14 @@ pub(super) struct GpuRounds<'a> {
     kernels: Arc<Kernels>,
     tables: Tables,
     /// Empty after the block is dropped.
-    lent: Option<Lent>,
+    block_lists: Option<BlockLists>,
     capacity: u32,
     groups: u32,
-    /// One line in so many joins cells: of uniform lines, of others.
+    /// The joining intervals of uniform lines and of other lines: one line in this number joins cells.
     joined: [u32; 2],
-    /// For each cell of the block its slot in the division's grid; empty without pairs.
+    /// The slot of each cell of the block in the division's grid; empty without pairs.
     division_slots: Vec<u32>,
-    /// Cells of the division.
+    /// The number of cells of the division.
     division: u32,
     profile: Option<Profile>,
     state: Mutex<State>,
@@ -78,12 +81,12 @@ pub(super) struct GpuRounds<'a> {
 #[derive(Default)]
 struct State {
     traffic: Traffic,
-    /// Parts written so far.
+    /// The number of parts written so far.
     parts: u32,
     flying: std::collections::VecDeque<wgpu::SubmissionIndex>,
 }
 
-/// Why a block cannot be on a device, as a part of a sentence; `None` when it can.
+/// Returns the reason why a device does not support a block, as a part of a sentence, or `None` if it does.
 fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String> {
     let limits = gpu.device.limits();
     let most = limits
@@ -110,7 +113,7 @@ fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String>
         .then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
 }
 
-/// Says why the host makes and credits lines, each reason once a process.
+/// Logs the reason why the host creates and credits lines, each reason once per process.
 fn say_once(why: &str) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if lock(&SAID).insert(why.to_owned()) {
@@ -121,17 +124,17 @@ fn say_once(why: &str) {
 }
 
 impl<'a> GpuRounds<'a> {
-    /// Puts a block with nothing seen on the device; `None` when the device cannot hold it, which is said in
-    /// the log. The same block on the same adapter always gets the same answer.
+    /// Creates a block without seen triangles on the device. Returns `None` if the device cannot hold the
+    /// block, and logs the reason. The same block on the same adapter always has the same result.
     ///
     /// # Errors
-    /// [`BackendError::Failed`] when the device does.
+    /// [`TracerError::Failed`] if the device fails.
     pub(super) fn new(
         gpu: &'a Gpu,
         scene: &'a DeviceLineScene,
         kit: &'a RoundsKit,
         block: &DeviceBlock<'_>,
-    ) -> Result<Option<Self>, BackendError> {
+    ) -> Result<Option<Self>, TracerError> {
         // All threads of the pool compile the kernels.
         crate::prepared::outside_the_pool();
         let (capacity, groups) = if gpu.software {
@@ -148,43 +151,44 @@ impl<'a> GpuRounds<'a> {
         }
         let is_split = block.one_way || block.far < f32::INFINITY;
         let place = &kit.kernels[usize::from(is_split) + 2 * usize::from(block.one_way)];
-        let make = || Kernels::new(&gpu.device, scene, (is_split, block.one_way));
+        let make = || Kernels::new(&gpu.device, scene, is_split, block.one_way);
         let full = |message: String| {
             gpu.failed(format!(
-                "{message}; smaller --block-cells need less memory, --backend cpu none of the device's"
+                "{message}; smaller --block-cells need less memory, --backend cpu none of the \
+                 device's"
             ))
         };
         let kernels = match once(place, make) {
             Ok(kernels) => kernels,
-            // A driver that does not compile them never does, and the profile names it.
-            Err(Fault::Refused(why)) if gpu.check().is_ok() => {
+            // A driver that cannot compile the kernels never can, and the profile names the driver.
+            Err(DeviceFault::Refused(why)) if gpu.check().is_ok() => {
                 say_once(&format!("the driver does not compile the kernels: {why}"));
                 return Ok(None);
             }
-            Err(Fault::Refused(why)) => return Err(gpu.failed(why)),
-            Err(Fault::Memory(why)) => return Err(full(why)),
+            Err(DeviceFault::Refused(why)) => return Err(gpu.failed(why)),
+            Err(DeviceFault::Memory(why)) => return Err(full(why)),
         };
-        let made = || -> Result<Self, Fault> {
+        let made = || -> Result<Self, DeviceFault> {
             let facts = once(&kit.facts, || {
                 scoped_by_kind(&gpu.device, || {
-                    Facts::new(&gpu.device, block).map_err(Fault::Refused)
+                    Facts::new(&gpu.device, block).map_err(DeviceFault::Refused)
                 })
             })?;
             let spare = lock(&kit.spare).pop();
             scoped_by_kind(&gpu.device, || {
                 let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity);
-                let tables = tables.map_err(Fault::Refused)?;
+                let tables = tables.map_err(DeviceFault::Refused)?;
                 let lists = spare.unwrap_or_else(|| Lists::new(&gpu.device, capacity));
                 let cells = block
                     .cells
                     .len()
                     .max(block.pairs.as_ref().map_or(0, |pairs| pairs.cells.len()));
-                let lent = Lent::new(&gpu.device, &kernels, lists, &tables, cells);
+                let block_lists = BlockLists::new(&gpu.device, &kernels, lists, &tables, cells);
                 let profile = gpu
                     .measures
                     .then(|| Profile::new(&gpu.device, &gpu.queue))
                     .flatten();
-                let (lent, state) = (Some(lent), Mutex::default());
+                let (block_lists, state) = (Some(block_lists), Mutex::default());
                 let (pairs, kernels) = (block.pairs.as_ref(), kernels.clone());
                 let joined = pairs.map_or([0; 2], |pairs| pairs.joins);
                 let division_slots = pairs.map_or_else(Vec::new, |pairs| pairs.slots.to_vec());
@@ -195,7 +199,7 @@ impl<'a> GpuRounds<'a> {
                     kit,
                     kernels,
                     tables,
-                    lent,
+                    block_lists,
                     capacity,
                     groups,
                     joined,
@@ -207,19 +211,19 @@ impl<'a> GpuRounds<'a> {
             })
         };
         made().map(Some).map_err(|fault| match fault {
-            Fault::Memory(why) => full(why),
-            Fault::Refused(why) => gpu.failed(why),
+            DeviceFault::Memory(why) => full(why),
+            DeviceFault::Refused(why) => gpu.failed(why),
         })
     }
 
-    fn lent(&self) -> Result<&Lent, BackendError> {
-        self.lent
+    fn block_lists(&self) -> Result<&BlockLists, TracerError> {
+        self.block_lists
             .as_ref()
             .ok_or_else(|| self.gpu.failed("the block is gone"))
     }
 
-    /// Writes a part's numbers; the offset at which kernels find them.
-    fn part(&self, lent: &Lent, part: &Part) -> u32 {
+    /// Writes the parameters of a part and returns the offset at which kernels find them.
+    fn part(&self, block_lists: &BlockLists, part: &Part) -> u32 {
         let mut state = lock(&self.state);
         let offset = u64::from(state.parts % PARTS) * PART_STRIDE;
         state.parts += 1;
@@ -227,23 +231,26 @@ impl<'a> GpuRounds<'a> {
         drop(state);
         self.gpu
             .queue
-            .write_buffer(&lent.parts, offset, bytemuck::bytes_of(part));
+            .write_buffer(&block_lists.parts, offset, bytemuck::bytes_of(part));
         offset as u32
     }
 
-    /// Begins a phase of items.
-    fn begin(&self, items: &[[u32; 4]]) -> Result<(&Lent, wgpu::CommandEncoder), BackendError> {
+    /// Starts a phase of items.
+    fn begin(
+        &self,
+        items: &[[u32; 4]],
+    ) -> Result<(&BlockLists, wgpu::CommandEncoder), TracerError> {
         self.gpu.check()?;
-        let lent = self.lent()?;
+        let block_lists = self.block_lists()?;
         self.gpu
             .queue
-            .write_buffer(&lent.items, 0, bytemuck::cast_slice(items));
+            .write_buffer(&block_lists.items, 0, bytemuck::cast_slice(items));
         lock(&self.state).traffic.up += size_of_val(items) as u64;
         let mut encoder = self.encoder();
         encoder.clear_buffer(&self.tables.met, 0, None);
-        encoder.clear_buffer(&lent.stats, 0, None);
-        encoder.clear_buffer(&lent.counters, 0, None);
-        Ok((lent, encoder))
+        encoder.clear_buffer(&block_lists.stats, 0, None);
+        encoder.clear_buffer(&block_lists.counters, 0, None);
+        Ok((block_lists, encoder))
     }
 
     fn encoder(&self) -> wgpu::CommandEncoder {
@@ -256,11 +263,11 @@ impl<'a> GpuRounds<'a> {
     fn run(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        lent: &Lent,
+        block_lists: &BlockLists,
         offset: u32,
         kernels: &[Kernel],
     ) {
-        // One pass for all, or one for each that is measured.
+        // One pass for all kernels, or one pass per kernel if kernels are measured.
         let each = if self.profile.is_some() {
             1
         } else {
@@ -278,7 +285,7 @@ impl<'a> GpuRounds<'a> {
             let mut pass = encoder.begin_compute_pass(&descriptor);
             pass.set_bind_group(0, &self.scene.group, &[]);
             pass.set_bind_group(1, &self.tables.group, &[]);
-            pass.set_bind_group(2, &lent.group, &[offset]);
+            pass.set_bind_group(2, &block_lists.group, &[offset]);
             for kernel in some {
                 pass.set_pipeline(self.kernels.pipeline(*kernel));
                 pass.dispatch_workgroups(self.groups, 1, 1);
@@ -286,8 +293,9 @@ impl<'a> GpuRounds<'a> {
         }
     }
 
-    /// Submits a part. The host does not run far ahead, so that a phase can be broken off.
-    fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, BackendError> {
+    /// Submits a part. If more than [`IN_FLIGHT`] parts are submitted, waits for the oldest part, so that a
+    /// phase can be interrupted.
+    fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, TracerError> {
         let submission = self.gpu.queue.submit([encoder.finish()]);
         let mut state = lock(&self.state);
         state.flying.push_back(submission.clone());
@@ -311,33 +319,37 @@ impl<'a> GpuRounds<'a> {
     fn read(
         &self,
         mut encoder: wgpu::CommandEncoder,
-        lent: &Lent,
+        block_lists: &BlockLists,
         wanted: &[(&wgpu::Buffer, u64, u64)],
-    ) -> Result<Vec<u32>, BackendError> {
+    ) -> Result<Vec<u32>, TracerError> {
         let mut end = 0;
         for (from, offset, bytes) in wanted.iter().filter(|w| w.2 > 0) {
-            encoder.copy_buffer_to_buffer(from, *offset, &lent.read_back, end, *bytes);
+            encoder.copy_buffer_to_buffer(from, *offset, &block_lists.read_back, end, *bytes);
             end += bytes;
         }
         let submission = self.submit(encoder)?;
         let start = Instant::now();
         let (sender, mapped) = mpsc::channel();
-        lent.read_back
+        block_lists
+            .read_back
             .map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
         self.gpu.wait(submission)?;
         match mapped.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}
             Ok(Err(error)) => {
-                return Err(self.gpu.failed(format!("mapping what was found: {error}")));
+                return Err(self
+                    .gpu
+                    .failed(format!("the results cannot be mapped: {error}")));
             }
-            Err(_) => return Err(self.gpu.failed("what was found was not mapped")),
+            Err(_) => return Err(self.gpu.failed("the results were not mapped")),
         }
         let numbers = {
-            let view = lent.read_back.get_mapped_range(..end);
-            let view = view.map_err(|e| self.gpu.failed(format!("reading what was found: {e}")))?;
+            let view = block_lists.read_back.get_mapped_range(..end);
+            let view =
+                view.map_err(|e| self.gpu.failed(format!("the results cannot be read: {e}")))?;
             bytemuck::pod_collect_to_vec(&view)
         };
-        lent.read_back.unmap();
+        block_lists.read_back.unmap();
         let mut state = lock(&self.state);
         state.traffic.down += end;
         state.traffic.waits += 1;
@@ -347,11 +359,11 @@ impl<'a> GpuRounds<'a> {
     }
 }
 
-/// The value of a cell that is filled once; a failure is tried again.
+/// Returns the value of a cell that is filled once. After a failure, the next call tries again.
 fn once<T>(
     place: &Mutex<Option<Arc<T>>>,
-    make: impl FnOnce() -> Result<T, Fault>,
-) -> Result<Arc<T>, Fault> {
+    make: impl FnOnce() -> Result<T, DeviceFault>,
+) -> Result<Arc<T>, DeviceFault> {
     let mut place = lock(place);
     if let Some(made) = &*place {
         return Ok(Arc::clone(made));
@@ -363,8 +375,8 @@ fn once<T>(
 
 impl Drop for GpuRounds<'_> {
     fn drop(&mut self) {
-        if let Some(lent) = self.lent.take() {
-            lock(&self.kit.spare).push(lent.lists);
+        if let Some(block_lists) = self.block_lists.take() {
+            lock(&self.kit.spare).push(block_lists.lists);
         }
     }
 }

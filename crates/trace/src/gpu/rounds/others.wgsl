@@ -1,11 +1,11 @@
-// Seeds and held-out lines, as lines/seeds.rs and lines/bound.rs on the host, and the words of the table that
-// go to and from the host. Follows cast.wgsl.
+// Seeds and held-out lines, like lines/seeds.rs and lines/bound.rs on the host, and the words of the tables
+// that the host reads and writes. Needs cast.wgsl.
 
 const SEED_GROUP: u32 = 32u;
 const ONE_IN: u32 = 2u;
 const HALVINGS: f32 = 16.0;
 
-// A uniform direction, by rejection from the cube.
+// Returns a uniform direction, by rejection from the cube.
 fn on_sphere(names: vec2<u32>) -> vec3<f32> {
     for (var draw = 0u; draw < 32u; draw++) {
         let bits = hashed(vec4<u32>(block.seed, names.x + draw, names.y)).xyz;
@@ -18,7 +18,8 @@ fn on_sphere(names: vec2<u32>) -> vec3<f32> {
     return vec3<f32>(0.0, 0.0, 1.0);
 }
 
-// One line from every second triangle from group `first` on.
+// Creates one line from every second triangle of the groups from `part.first` on. A group has 32 consecutive
+// triangles in Morton order.
 @compute @workgroup_size(64)
 fn make_seeds(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
@@ -36,7 +37,8 @@ fn make_seeds(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         let a = corner_of(triangle, 0u);
         let normal = cross(corner_of(triangle, 1u) - a, corner_of(triangle, 2u) - a);
         let side = vertices[3u * triangle].w;
-        // Side 1 is met from where the vertices run counter-clockwise, side 2 from the other one.
+        // A triangle with side 1 shows on the side from which its vertices run counter-clockwise, and a
+        // triangle with side 2 on the other side.
         let front = select((random.w & 1u) == 1u, side == 1u, side != 0u);
         let up = select(-direction, direction, (dot(normal, direction) > 0.0) == front);
         let own = hashed(vec4<u32>(block.seed, 64u * group + 41u + i % LANES, triangle));
@@ -47,7 +49,8 @@ fn make_seeds(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// Independent lines. Items: the cell; lines; unused; lines of all items before. Counts of an item: misses.
+// Creates independent held-out lines. Fields of an item: index of the cell; slot of the cell in the division;
+// unused; number of lines of all items before. Counts of an item: misses; misses of pairs.
 @compute @workgroup_size(64)
 fn make_check(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
@@ -81,8 +84,8 @@ fn gather_check(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
-// Lists the words from place `first` on that have bits since the last barrier. Three times `capacity` of them
-// fit; all are counted.
+// Lists the words from index `part.first` on that have new bits since the last barrier. The counter counts
+// all words; the list contains at most three times `block.capacity` of them.
 @compute @workgroup_size(64)
 fn gather_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
@@ -100,7 +103,7 @@ fn gather_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
-// The same of the table of pairs.
+// Lists the words of the table of pairs with new bits, like `gather_words`.
 @compute @workgroup_size(64)
 fn gather_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
@@ -118,7 +121,7 @@ fn gather_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
-// Adds words that the host has written.
+// Adds the words that the host has written to `words` to the table.
 @compute @workgroup_size(64)
 fn put_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {

@@ -1,5 +1,5 @@
-//! The time of each kernel, by the device's time stamps. Measuring takes a pass for each run of a kernel, so
-//! it has to be asked for.
+//! The time of each kernel, measured with the device's time stamps. Measuring needs a separate pass for each
+//! run of a kernel, so it is off by default.
 
 use std::sync::Mutex;
 
@@ -7,14 +7,14 @@ use super::kernels::{ENTRY_POINTS, Kernel};
 use crate::gpu::locks::lock;
 use crate::lines::device::KernelTime;
 
-/// Runs of kernels in a phase that are measured; later ones are not.
+/// The number of runs of kernels in a phase that are measured. Later runs are not measured.
 const RUNS: u32 = 2048;
 
-/// Time stamps of the runs of a phase, and the sums so far.
+/// The time stamps of the runs of a phase, and the sums so far.
 pub(super) struct Profile {
     set: wgpu::QuerySet,
     pub(super) stamps: wgpu::Buffer,
-    /// Nanoseconds of a tick.
+    /// The duration of a tick in nanoseconds.
     period: f64,
     state: Mutex<ProfileState>,
 }
@@ -23,12 +23,12 @@ pub(super) struct Profile {
 struct ProfileState {
     /// The kernels of the phase's runs.
     runs: Vec<Kernel>,
-    /// For each kernel ticks and runs.
+    /// The ticks and the runs of each kernel.
     sums: [(u64, u64); ENTRY_POINTS.len()],
 }
 
 impl Profile {
-    /// `None` when the device has no time stamps.
+    /// Creates a profile, or returns `None` if the device has no time stamps.
     pub(super) fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Option<Self> {
         if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
             return None;
@@ -52,7 +52,7 @@ impl Profile {
         })
     }
 
-    /// Where the pass of a kernel writes its stamps.
+    /// Returns the places to which the pass of a kernel writes its stamps, or `None` after [`RUNS`] runs.
     pub(super) fn writes(&self, kernel: Kernel) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         let mut state = lock(&self.state);
         let at = 2 * state.runs.len() as u32;
@@ -67,7 +67,7 @@ impl Profile {
         })
     }
 
-    /// Records the copy of the phase's stamps to `stamps`; returns their bytes.
+    /// Records the copy of the phase's stamps to `stamps` and returns their size in bytes.
     pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) -> u64 {
         let runs = lock(&self.state).runs.len() as u32;
         if runs > 0 {

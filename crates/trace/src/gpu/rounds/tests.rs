@@ -1,14 +1,13 @@
-//! The same lines credited by the device and by the host give the same bits. `tests/gpu_rounds.rs` tests
+//! Tests that the device and the host credit the same bits for the same lines. `tests/gpu_rounds.rs` tests
 //! whole rounds.
 
 use std::collections::BTreeMap;
 
 use glam::Vec3;
-use sightline_scene::generate::{self, Kind, Params};
+use sightline_scene::generate::{self, SceneKind, SceneParams};
 use sightline_scene::{Scene, Side, Sides};
 
 use super::*;
-use crate::backend::{Backend, LineSet};
 use crate::cube::{CubeSpec, SKY, Strata};
 use crate::gpu::{AdapterChoice, GpuBackend};
 use crate::lines::bits::SeenBits;
@@ -16,9 +15,9 @@ use crate::lines::device::{DeviceCell, DevicePairs};
 use crate::lines::device::{Rounds as _, UniformWork};
 use crate::lines::grid::{CellGrid, Crossed};
 use crate::lines::pairs::Pairs;
-use crate::packet::LANES;
-use crate::packet::Packet;
+use crate::packet::{Halves, LANES, Packet};
 use crate::surface::Surface;
+use crate::tracer::{LineSet, Tracer};
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     let spec = CubeSpec {
@@ -28,7 +27,7 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     };
     match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+        Err(TracerError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
             None
         }
@@ -44,27 +43,29 @@ const KERNELS: [Kernel; 4] = [
 ];
 
 fn town() -> Scene {
-    let params = Params {
+    let params = SceneParams {
         triangles: Some(3000),
-        ..Params::default()
+        ..SceneParams::default()
     };
-    generate::generate(Kind::Rooms, &params).unwrap()
+    generate::generate(SceneKind::Rooms, &params).unwrap()
 }
 
-/// Where the triangles at both ends of a line are seen from, as `Block::credit_line` says.
+/// Returns the cells that see the triangles at both ends of a line, as in `Block::credit_line`.
 fn credited(
     grid: &CellGrid,
-    (ahead, behind): (&Packet, &Packet),
+    ahead: &Packet,
+    behind: &Packet,
     step: f32,
-    (far, one_way): (f32, bool),
+    far: f32,
+    one_way: bool,
     mut credit: impl FnMut(u32, &Crossed),
 ) {
     let mut crossed = Crossed::new();
     for lane in 0..ahead.count {
         let (origin, direction) = ahead.ray(lane);
         let limit = far / ahead.length(lane);
-        let end = |of: &Packet| match of.triangle[lane] {
-            t if t != SKY && of.distance[lane] <= limit => (t, of.distance[lane]),
+        let end = |half: &Packet| match half.triangle[lane] {
+            t if t != SKY && half.distance[lane] <= limit => (t, half.distance[lane]),
             _ => (SKY, limit),
         };
         let [(a, to), (b, back)] = [ahead, behind].map(end);
@@ -96,7 +97,7 @@ fn compare(scene: Scene, far: f32) {
     let all: Vec<u32> = (0..scene.len())
         .filter(|t| !scene.triangles()[*t as usize].is_degenerate())
         .collect();
-    let surface = Surface::of(&scene, &all);
+    let surface = Surface::new(&scene, &all);
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
     let kit = backend.lines[LineSet::Blocking as usize]
         .get()
@@ -171,16 +172,16 @@ fn compare(scene: Scene, far: f32) {
         .unwrap();
     let bits = SeenBits::new(scene.triangles().len(), grid.words());
     rounds.restart(&bits, None).unwrap();
-    // One part of uniform lines, without a flood, so that the lists still hold it.
+    // One part of uniform lines, without a flood, so that the lists still contain it.
     let tiles = 2;
     let items: Vec<[u32; 4]> = (0..cells.len() as u32)
         .map(|c| [c, tiles, 0, c * 3 * tiles * tiles])
         .collect();
     let count = items.len() as u32 * 3 * tiles * tiles * LANES as u32;
     assert!(count <= rounds.capacity / 2);
-    let (lent, mut encoder) = rounds.begin(&items).unwrap();
+    let (block_lists, mut encoder) = rounds.begin(&items).unwrap();
     let offset = rounds.part(
-        lent,
+        block_lists,
         &Part {
             count,
             items: items.len() as u32,
@@ -188,7 +189,7 @@ fn compare(scene: Scene, far: f32) {
             ..Part::default()
         },
     );
-    rounds.run(&mut encoder, lent, offset, &KERNELS);
+    rounds.run(&mut encoder, block_lists, offset, &KERNELS);
     let bytes = 16 * u64::from(count);
     let floats = |numbers: Vec<u32>| -> Vec<[f32; 3]> {
         numbers
@@ -198,15 +199,21 @@ fn compare(scene: Scene, far: f32) {
     };
     let origins = floats(
         rounds
-            .read(encoder, lent, &[(&lent.from, 0, bytes)])
+            .read(encoder, block_lists, &[(&block_lists.from, 0, bytes)])
             .unwrap(),
     );
     let directions = floats(
         rounds
-            .read(rounds.encoder(), lent, &[(&lent.to, 0, bytes)])
+            .read(
+                rounds.encoder(),
+                block_lists,
+                &[(&block_lists.to, 0, bytes)],
+            )
             .unwrap(),
     );
-    let found = rounds.end(lent, rounds.encoder(), items.len()).unwrap();
+    let found = rounds
+        .end(block_lists, rounds.encoder(), items.len())
+        .unwrap();
     let mut by_device = vec![0u64; bits.places()];
     found
         .words
@@ -224,13 +231,15 @@ fn compare(scene: Scene, far: f32) {
             .zip(directions)
             .for_each(|(o, d)| ahead.push(*o, *d));
         let mut both = [ahead.clone(), ahead.reversed(step)];
-        tracer.trace(&mut both).unwrap();
+        tracer.trace(&mut both, Halves::Rays, true).unwrap();
         let [ahead, behind] = &both;
         credited(
             &grid,
-            (ahead, behind),
+            ahead,
+            behind,
             step,
-            (far, one_way),
+            far,
+            one_way,
             |triangle, crossed| {
                 for (word, bits) in crossed {
                     by_host[triangle as usize * grid.words() + *word as usize] |= bits;
@@ -239,7 +248,7 @@ fn compare(scene: Scene, far: f32) {
         );
         for lane in 0..ahead.count {
             let limit = far / ahead.length(lane);
-            let end = |of: &Packet| of.distance[lane].min(limit);
+            let end = |half: &Packet| half.distance[lane].min(limit);
             let (from, to) = (ahead.advance(lane, step) - end(behind), end(ahead));
             let halves = [
                 (from.max(-limit), to.min(0.0)),
@@ -271,32 +280,32 @@ fn compare(scene: Scene, far: f32) {
 }
 
 #[test]
-fn the_device_credits_as_the_host_does() {
+fn device_credits_like_host() {
     compare(town(), f32::INFINITY);
 }
 
 #[test]
-fn lines_that_end_at_a_distance_are_credited_as_on_the_host() {
+fn lines_that_end_at_distance_are_credited_like_on_host() {
     let scene = town();
     let far = (scene.bounds().max - scene.bounds().min).length() * 0.1;
     compare(scene, far);
 }
 
 #[test]
-fn triangles_of_one_side_are_credited_as_on_the_host() {
+fn one_sided_triangles_are_credited_like_on_host() {
     let scene = town();
     let sides = Sides::from_runs([(scene.len(), Side::CounterClockwise)]);
     compare(scene.with_sides("town", sides).unwrap(), f32::INFINITY);
 }
 
 #[test]
-fn a_lost_device_is_an_error() {
+fn lost_device_is_error() {
     let scene = Arc::new(town());
     let Some(backend) = backend(&scene) else {
         return;
     };
     let all: Vec<u32> = (0..scene.len()).collect();
-    let surface = Surface::of(&scene, &all);
+    let surface = Surface::new(&scene, &all);
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
     let grid = CellGrid::new(Vec3::ZERO, Vec3::ONE, [1; 3]);
     let (low, size) = grid.cell_box([0; 3]);
@@ -335,17 +344,17 @@ fn a_lost_device_is_an_error() {
     backend.gpu.device.destroy();
     assert!(matches!(
         rounds.uniform(&work, &|_| true),
-        Err(BackendError::Failed { .. })
+        Err(TracerError::Failed { .. })
     ));
     assert!(matches!(
         rounds.seeds(&|_| true),
-        Err(BackendError::Failed { .. })
+        Err(TracerError::Failed { .. })
     ));
 }
 
-/// An error in one of the threads that compile is no error of the device: the host casts the rounds then.
+/// Checks that an error in a compiling thread is not an error of the device. The host then casts the rounds.
 #[test]
-fn kernels_that_a_driver_refuses_are_refused_and_the_device_goes_on() {
+fn rejected_kernels_leave_device_usable() {
     let scene = Arc::new(town());
     let Some(backend) = backend(&scene) else {
         return;
@@ -363,9 +372,9 @@ fn kernels_that_a_driver_refuses_are_refused_and_the_device_goes_on() {
         line_scene,
         &[("NO_SUCH_CONSTANT", 1.0)],
     );
-    assert!(matches!(refused, Err(Fault::Refused(_))));
+    assert!(matches!(refused, Err(DeviceFault::Refused(_))));
     backend.gpu.check().unwrap();
     let mut packet = Packet::default();
     packet.push([0.0; 3], [1.0, 0.5, 0.25]);
-    tracer.trace(&mut [packet]).unwrap();
+    tracer.trace(&mut [packet], Halves::Rays, true).unwrap();
 }

@@ -1,10 +1,10 @@
-// Uniform lines and the flood from what they find, as lines/uniform.rs and lines/flood.rs on the host.
-// Follows cast.wgsl.
+// Uniform lines, and the flood from the triangles that they find, like lines/uniform.rs and lines/flood.rs on
+// the host. Needs cast.wgsl.
 //
-// Items: the cell; tiles along a cube face; number of the first eye in the cell's sequence; tiles of all
-// items before. Counts of an item: misses, finds of uniform lines, rays of the flood, finds of the flood.
-// The number of a ray in a part names the line that claims a find; each step of the flood triples the
-// numbers.
+// Fields of an item: index of the cell; number of tiles along a cube face; number of the first origin in the
+// cell's sequence; number of tiles of all items before. Counts of an item: misses, newly found triangles of
+// uniform lines, rays of the flood, newly found triangles of the flood. The number of a ray in its part
+// identifies the ray that claims a triangle; each step of the flood triples the numbers.
 
 @compute @workgroup_size(64)
 fn make_uniform(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -29,7 +29,7 @@ fn make_uniform(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
-// Counts the misses, and lets every ray that shows its cell a new triangle claim it.
+// Counts the misses, and lets every ray that shows a new triangle to its cell claim the triangle.
 @compute @workgroup_size(64)
 fn claim_uniform(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var ray = id.x; ray < 2u * part.count; ray += groups.x * 64u) {
@@ -71,7 +71,8 @@ fn gather_uniform(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
     }
 }
 
-// The triangle beside find `j / 3` across edge `j % 3`, if its cell has not seen or met it; else SKY.
+// Returns the neighbour of the triangle of `finds[j / 3]` across edge `j % 3` if the cell has neither seen
+// nor met the neighbour, and otherwise SKY.
 fn beside(j: u32) -> u32 {
     let find = finds[j / 3u];
     let next = around[3u * find.y + j % 3u];
@@ -94,8 +95,8 @@ fn claim_next(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// The triangle that find `j / 3` is flooded to across edge `j % 3`: that beside it, unless another find has
-// claimed it; else SKY.
+// Returns the triangle at which the flood from `finds[j / 3]` aims across edge `j % 3`: the neighbour, unless
+// another entry of `finds` has claimed it. Returns SKY otherwise.
 fn flooded(j: u32) -> u32 {
     let next = beside(j);
     if next == SKY {
@@ -124,8 +125,8 @@ fn make_flood(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// Where there may be more finds than a list holds, a part of them, drawn by hash, is not flooded from. `most`
-// is how many there may be.
+// Returns true if the flood uses a newly found triangle. If `most`, the maximum number of newly found
+// triangles, exceeds the capacity of `finds`, a hash selects the triangles that the flood uses.
 fn is_kept(slot: u32, triangle: u32, most: u32) -> bool {
     if most <= block.capacity {
         return true;

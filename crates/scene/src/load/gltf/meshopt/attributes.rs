@@ -1,31 +1,32 @@
 //! Mode ATTRIBUTES of the meshopt extensions: deltas between elements, byte by byte.
 
-/// Elements in a byte group.
+/// The number of elements in a byte group.
 const GROUP: usize = 16;
 /// Maximum number of elements in a block.
 const BLOCK: usize = 256;
-/// Maximum number of bytes that a byte of compressed data stands for: a control byte of version 1 can stand
-/// for four bytes of each element of a block.
+/// Maximum number of decoded bytes per byte of compressed data: a control byte of version 1 can represent
+/// four bytes of each element of a block.
 pub(super) const DENSEST: u64 = 4 * BLOCK as u64;
 
-/// Bits per delta of a byte group, by its code in the header of the group.
+/// The number of bits per delta of a byte group in version 0, by the two-bit code of the group.
 const BITS_0: [u8; 4] = [0, 2, 4, 8];
-/// Bits per delta in version 1, with control mode 0 and with control mode 1.
+/// The number of bits per delta of a byte group in version 1, for control modes 0 and 1, by the two-bit code
+/// of the group.
 const BITS_1: [[u8; 4]; 2] = [[0, 1, 2, 4], [1, 2, 4, 8]];
 
 /// The relation between four bytes of an element and the same bytes of the previous element.
 #[derive(Clone, Copy)]
 enum Channel {
-    /// Differences of bytes.
+    /// The difference of bytes.
     Bytes,
-    /// Differences of two 16-bit numbers.
+    /// The difference of two 16-bit numbers.
     Words,
-    /// An exclusive or of 32-bit numbers, rotated left by a number of bits.
+    /// The exclusive or of 32-bit numbers, rotated left by a number of bits.
     Xor(u32),
 }
 
 impl Channel {
-    /// Returns the channel with a number in the tail of version 1; `None` if the number has no meaning.
+    /// Returns the channel for a byte in the tail of version 1, or `None` if the byte is not valid.
     fn from_byte(byte: u8) -> Option<Self> {
         match (byte & 15, byte >> 4) {
             (0, 0) => Some(Self::Bytes),
@@ -42,7 +43,8 @@ impl Channel {
                 previous[i].wrapping_add((delta[i] >> 1) ^ (delta[i] & 1).wrapping_neg())
             }),
             Self::Words => {
-                let word = |of: [u8; 4], i: usize| u16::from_le_bytes([of[2 * i], of[2 * i + 1]]);
+                let word =
+                    |bytes: [u8; 4], i: usize| u16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]]);
                 let sum = |i| {
                     let d = word(delta, i);
                     word(previous, i)
@@ -60,12 +62,13 @@ impl Channel {
     }
 }
 
-/// Decodes mode ATTRIBUTES, version 0 or 1, into `out`; `None` when the data are malformed. `stride` is a
-/// multiple of 4 in 4 ..= 256.
+/// Decodes mode ATTRIBUTES, version 0 or 1, into `out`. Returns `None` if the data are malformed. `stride` is
+/// a multiple of 4 in 4 ..= 256.
 ///
 /// Elements come in blocks. A block has the first bytes of all its elements, then the second bytes and so on,
-/// as deltas in groups of 16. The tail holds the element before the first one, and in version 1 the channel
-/// of each four bytes. A block of version 1 begins with two bits of control for each byte of an element.
+/// as deltas in groups of 16. The tail contains the element before the first one, and in version 1 the
+/// channel of each four bytes. A block of version 1 begins with two bits of control for each byte of an
+/// element.
 pub(super) fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<()> {
     let (&header, body) = data.split_first()?;
     let (of_channels, least) = match header {
@@ -121,14 +124,17 @@ fn plane(rest: &mut &[u8], control: Option<u8>, out: &mut [u8]) -> Option<()> {
     let header = take(rest, out.len().div_ceil(GROUP).div_ceil(4))?;
     for (g, group) in out.chunks_mut(GROUP).enumerate() {
         let code = header[g / 4] >> (g % 4 * 2) & 3;
-        // The last group has sixteen deltas, too; those beyond the elements are not used.
+        // The last group has sixteen deltas, too. The deltas beyond the elements are not used.
         group.copy_from_slice(&byte_group(rest, bits[usize::from(code)])?[..group.len()]);
     }
     Some(())
 }
 
-/// Reads sixteen deltas: none with 0 bits, whole bytes with 8, otherwise packed ones, where the largest value
-/// stands for a whole byte after the packed ones. Single bits are packed lowest first, others highest first.
+/// Reads sixteen deltas. With 0 bits, all deltas are 0 and no byte is read. With 8 bits, each delta is a
+/// byte.
+///
+/// With other numbers of bits, the deltas are packed, and the largest value represents a whole byte after the
+/// packed values. Single bits are packed lowest first, larger values highest bits first.
 fn byte_group(rest: &mut &[u8], bits: u8) -> Option<[u8; GROUP]> {
     let mut out = [0; GROUP];
     match usize::from(bits) {
@@ -150,7 +156,7 @@ fn byte_group(rest: &mut &[u8], bits: u8) -> Option<[u8; GROUP]> {
     Some(out)
 }
 
-/// Removes `n` bytes from the front of `rest`.
+/// Removes and returns `n` bytes from the front of `rest`.
 fn take<'a>(rest: &mut &'a [u8], n: usize) -> Option<&'a [u8]> {
     let (head, tail) = rest.split_at_checked(n)?;
     *rest = tail;

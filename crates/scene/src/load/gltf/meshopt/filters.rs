@@ -1,6 +1,6 @@
 //! The filters of mode ATTRIBUTES that positions, instances and vertex colours can have.
 
-/// A filter, which is applied to decoded elements.
+/// A filter that the decoder applies to decoded elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Filter {
     None,
@@ -10,10 +10,10 @@ pub(super) enum Filter {
 }
 
 impl Filter {
-    /// Returns the filter with a name, for elements of `stride` bytes.
+    /// Returns the filter with the given name, for elements of `stride` bytes.
     ///
     /// # Errors
-    /// The fault of the view in a sentence.
+    /// A sentence that describes the fault of the view.
     pub(super) fn parse(name: Option<&str>, stride: usize) -> Result<Self, String> {
         let name = name.unwrap_or("NONE");
         let (filter, strides): (Self, &[usize]) = match name {
@@ -24,14 +24,14 @@ impl Filter {
             other => {
                 let shown: String = other.chars().take(20).collect();
                 return Err(format!(
-                    "the filter {shown} is not one for positions, rotations or colours"
+                    "the filter {shown} is unknown or not for positions, rotations or colours"
                 ));
             }
         };
         match strides.contains(&stride) {
             true => Ok(filter),
             false => Err(format!(
-                "the filter {name} needs a stride of {strides:?} bytes, and it is {stride}"
+                "the filter {name} needs a stride of {strides:?} bytes, but the stride is {stride}"
             )),
         }
     }
@@ -63,20 +63,20 @@ impl Filter {
     }
 }
 
-/// Turns 32-bit words of a signed 8-bit exponent and a signed 24-bit mantissa into `f32`.
+/// Converts 32-bit words of a signed 8-bit exponent and a signed 24-bit mantissa to `f32`.
 fn exponential(bytes: &mut [u8]) {
     for word in bytes.chunks_exact_mut(4) {
         let v = i32::from_le_bytes([word[0], word[1], word[2], word[3]]);
         let (exponent, mantissa) = (v >> 24, v << 8 >> 8);
-        // Exact in f64 and rounded once to f32. A value beyond its range becomes infinite, which the reader
-        // of positions rejects.
+        // The value is exact in f64 and rounded once to f32. A value beyond its range becomes infinite, which
+        // the reader of positions rejects.
         let value = f64::from(mantissa) * 2f64.powi(exponent);
         word.copy_from_slice(&(value as f32).to_le_bytes());
     }
 }
 
-/// Turns three components of a unit quaternion, scaled, and the number of the omitted largest one into four
-/// normalised 16-bit components.
+/// Converts a filtered unit quaternion to four normalised 16-bit components. The input is three scaled
+/// components and the index of the omitted largest component.
 fn quaternion(bytes: &mut [u8]) {
     let word = |i: usize| i16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]]);
     // The last word is 1.0 in the same scale, except for its two lowest bits.
@@ -89,13 +89,13 @@ fn quaternion(bytes: &mut [u8]) {
     }
 }
 
-/// Turns luma, two signed chroma values and alpha into red, green, blue and alpha up to `full`. The highest
-/// bit of the stored alpha gives the number of bits.
+/// Converts luma, two signed chroma values and alpha to red, green, blue and alpha up to `full`. The highest
+/// bit of the stored alpha determines the number of bits.
 fn color([y, co, cg, alpha]: [i32; 4], full: f32) -> [f32; 4] {
     let bits = 32 - (alpha as u32).leading_zeros();
     let scale = (1i32 << bits) - 1;
     let a = alpha & (scale >> 1);
-    // Malformed data have no bit, and give zeros.
+    // Malformed data without any bit result in zeros.
     let factor = if scale > 0 { full / scale as f32 } else { 0.0 };
     [y + co - cg, y + cg, y - co - cg, a << 1 | a & 1].map(|c| (c as f32 * factor).round())
 }

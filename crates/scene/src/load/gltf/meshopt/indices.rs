@@ -2,18 +2,18 @@
 
 use sightline_numbers::varint;
 
-/// A number of up to 32 bits; bits beyond them, which no encoder writes, are dropped.
+/// Reads a number of up to 32 bits. Higher bits, which no encoder writes, are dropped.
 fn number(rest: &mut &[u8]) -> Option<u32> {
     varint::read(rest, 5).ok().map(|v| v as u32)
 }
 
-/// `v` with its sign moved from the lowest bit.
+/// Returns the two's complement of a zigzag-encoded integer, whose sign is in the lowest bit of `v`.
 fn unzigzag(v: u32) -> u32 {
     (v >> 1) ^ (v & 1).wrapping_neg()
 }
 
-/// Decodes mode INDICES: each index is a delta to one of two running baselines. `None` when the data are
-/// malformed.
+/// Decodes mode INDICES: each index is a delta to one of two running baselines. Returns `None` if the data
+/// are malformed.
 pub(super) fn index_sequence(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     let (&0xd1, body) = data.split_first()? else {
         return None;
@@ -33,7 +33,7 @@ pub(super) fn index_sequence(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     rest.is_empty().then_some(out)
 }
 
-/// The sixteen newest items, counted back from the newest.
+/// The sixteen items that were pushed last.
 struct Fifo<T> {
     items: [T; 16],
     next: usize,
@@ -52,19 +52,19 @@ impl<T: Copy> Fifo<T> {
         self.next = (self.next + 1) & 15;
     }
 
-    /// The item pushed `back` pushes ago; 1 is the newest.
+    /// Returns the item that was pushed `back` pushes ago. 1 is the newest item.
     fn back(&self, back: usize) -> T {
         self.items[self.next.wrapping_sub(back) & 15]
     }
 }
 
-/// Decoder of mode TRIANGLES.
+/// A decoder of mode TRIANGLES.
 struct TriangleDecoder<'a> {
-    /// Edges of recent triangles.
+    /// The sixteen most recent edges of triangles.
     edges: Fifo<(u32, u32)>,
-    /// Recent vertices.
+    /// The sixteen most recent vertices.
     vertices: Fifo<u32>,
-    /// The least index that has not occurred.
+    /// The smallest index that has not occurred.
     next: u32,
     /// The last index written as a delta.
     last: u32,
@@ -72,21 +72,21 @@ struct TriangleDecoder<'a> {
 }
 
 impl TriangleDecoder<'_> {
-    /// The next new index.
+    /// Returns the next new index.
     fn fresh(&mut self) -> u32 {
         let n = self.next;
         self.next = n.wrapping_add(1);
         n
     }
 
-    /// An index written as a delta.
+    /// Reads an index that is written as a delta.
     fn delta(&mut self) -> Option<u32> {
         let v = number(&mut self.rest)?;
         self.last = self.last.wrapping_add(unzigzag(v));
         Some(self.last)
     }
 
-    /// A triangle that shares an edge with a recent one.
+    /// Decodes a triangle that shares an edge with a recent triangle.
     fn on_edge(&mut self, code: u8) -> Option<[u32; 3]> {
         let (a, b) = self.edges.back(usize::from(code >> 4) + 1);
         let c = match code & 15 {
@@ -102,7 +102,7 @@ impl TriangleDecoder<'_> {
             }
             _ => self.delta()?,
         };
-        // A vertex found among the recent ones is not pushed again.
+        // A vertex from the recent vertices is not pushed again.
         if !(1..=12).contains(&(code & 15)) {
             self.vertices.push(c);
         }
@@ -111,7 +111,7 @@ impl TriangleDecoder<'_> {
         Some([a, b, c])
     }
 
-    /// A triangle that shares no edge with a recent one.
+    /// Decodes a triangle that does not share an edge with a recent triangle.
     fn alone(&mut self, code: u8, table: &[u8]) -> Option<[u32; 3]> {
         let (a_code, aux) = if code < 0xfe {
             (0, *table.get(usize::from(code & 15))?)
@@ -124,7 +124,7 @@ impl TriangleDecoder<'_> {
             (if code == 0xfe { 0 } else { 15 }, aux)
         };
         let codes = [a_code, aux >> 4, aux & 15];
-        // All three codes come before any delta, so new vertices are numbered first.
+        // All three codes precede any delta, so new vertices are numbered first.
         let mut v = [0u32; 3];
         for (v, code) in v.iter_mut().zip(codes) {
             *v = if code == 0 {
@@ -152,7 +152,7 @@ impl TriangleDecoder<'_> {
 }
 
 /// Decodes mode TRIANGLES: a code byte for each triangle, then the deltas, then a table of 16 frequent codes.
-/// `None` when the data are malformed.
+/// Returns `None` if the data are malformed.
 pub(super) fn triangles(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     let (&0xe1, body) = data.split_first()? else {
         return None;

@@ -34,13 +34,13 @@ fn le(v: &[u32]) -> Vec<u8> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Data encoded by another implementation are decoded.
+    /// Data encoded by another implementation are decoded correctly.
     #[test]
-    fn vertices_come_back(
+    fn vertices_round_trip(
         v in proptest::collection::vec(proptest::array::uniform12(any::<u8>()), 0..700),
         quiet in any::<u8>(),
     ) {
-        // Masking makes groups of every width.
+        // The mask creates groups of every width.
         let v: Vec<[u8; 12]> = v.into_iter().enumerate()
             .map(|(i, e)| e.map(|b| b & (quiet >> (i / 64 % 8)))).collect();
         let got = decode(&view("ATTRIBUTES", v.len(), 12, None), &pack_vertices(&v)).unwrap();
@@ -48,7 +48,7 @@ proptest! {
     }
 
     #[test]
-    fn wide_vertices_come_back(
+    fn wide_vertices_round_trip(
         v in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 256), 1..70),
     ) {
         let v: Vec<[u8; 256]> = v.into_iter().map(|e| e.try_into().unwrap()).collect();
@@ -56,9 +56,9 @@ proptest! {
         prop_assert_eq!(got, v.concat());
     }
 
-    /// Triangles come back up to the rotation of each, which the encoder may choose.
+    /// Triangles survive encoding up to their rotation, which the encoder may choose.
     #[test]
-    fn triangle_lists_come_back(t in proptest::collection::vec(proptest::array::uniform3(0u32..40), 0..200)) {
+    fn triangles_round_trip(t in proptest::collection::vec(proptest::array::uniform3(0u32..40), 0..200)) {
         let flat = t.concat();
         let mut out = vec![0; ix::encode_index_buffer_bound(flat.len(), 40)];
         let n = ix::encode_index_buffer(&mut out, &flat, IndexEncodingVersion::V1).unwrap();
@@ -71,7 +71,7 @@ proptest! {
     }
 
     #[test]
-    fn sequences_come_back(v in proptest::collection::vec(any::<u16>(), 0..300)) {
+    fn sequences_round_trip(v in proptest::collection::vec(any::<u16>(), 0..300)) {
         let v: Vec<u32> = v.into_iter().map(u32::from).collect();
         let mut out = vec![0; sequence::encode_index_sequence_bound(v.len(), 65536)];
         let n = sequence::encode_index_sequence(&mut out, &v, IndexEncodingVersion::V1);
@@ -79,7 +79,7 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_refused_or_decoded(
+    fn noise_is_rejected_or_decoded(
         head in prop_oneof![Just(0xa0u8), Just(0xa1), Just(0xe1), Just(0xd1)],
         body in proptest::collection::vec(any::<u8>(), 0..200),
         count in 0usize..100,
@@ -93,8 +93,8 @@ proptest! {
     }
 }
 
-/// Data of version 1 that the C++ library encoded, with the bytes that its decoder returned. They have every
-/// control mode, every width of deltas, every kind of channel and every filter that is read.
+/// Data of version 1 that the C++ library encoded, with the bytes that its decoder returned. The data contain
+/// every control mode, every width of deltas, every kind of channel and every supported filter.
 #[test]
 fn version_1_decodes_as_in_cpp_library() {
     let cases: serde_json::Value =
@@ -118,7 +118,7 @@ fn version_1_decodes_as_in_cpp_library() {
             "{}",
             case["name"]
         );
-        // Every byte counts: a shorter stream is malformed.
+        // Every byte is needed: a shorter stream is malformed.
         assert!(
             decode(&view, &packed[..packed.len() - 1]).is_err() || packed.len() < 64,
             "{}",
@@ -134,13 +134,16 @@ fn filters_check_strides() {
     };
     assert_eq!(
         refusal("QUATERNION", 4),
-        "the filter QUATERNION needs a stride of [8] bytes, and it is 4"
+        "the filter QUATERNION needs a stride of [8] bytes, but the stride is 4"
     );
     assert_eq!(
         refusal("COLOR", 12),
-        "the filter COLOR needs a stride of [4, 8] bytes, and it is 12"
+        "the filter COLOR needs a stride of [4, 8] bytes, but the stride is 12"
     );
-    assert!(refusal("OCTAHEDRAL", 4).starts_with("the filter OCTAHEDRAL is not one"));
+    assert!(
+        refusal("OCTAHEDRAL", 4)
+            .starts_with("the filter OCTAHEDRAL is unknown or not for positions")
+    );
 }
 
 #[test]
@@ -156,7 +159,7 @@ fn exponents_are_applied() {
 }
 
 #[test]
-fn counts_beyond_the_data_are_refused_before_allocating() {
+fn rejects_counts_beyond_data_before_allocation() {
     let v = view("ATTRIBUTES", 1 << 40, 256, None);
     assert!(decode(&v, &[0xa0; 100]).is_err());
     assert!(decode(&view("TRIANGLES", 3 << 30, 4, None), &[0xe1; 100]).is_err());
