@@ -1,4 +1,4 @@
-# Bakes a file on a cluster with nothing but Python: client.py http://127.0.0.1:7601/ level.glb level.pvs
+# Bakes a file on a cluster, without other packages: client.py http://127.0.0.1:7601/ level.glb level.pvs
 import json, sys, time, urllib.parse, urllib.request
 site, scene_file, result_file = sys.argv[1:]
 def post(path, body, kind="application/json"):
