@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use sightline_records::ids::{Epoch, JobId};
+use sightline_records::ids::{Epoch, JobId, TileIndex};
 use sightline_records::{JobPhase, JobState};
-use sightline_scheduler::{Event, OpenJob, Scheduler, Settings};
+use sightline_scheduler::{Event, OpenJob, Output, Scheduler, Settings};
 use sightline_store::{BlobError, Blobs, Outcomes, SledStore, Store, StoreError};
 
 use crate::blobs::ownership;
@@ -132,7 +132,15 @@ impl Coordinator {
         let jobs = open_jobs(&*store, &*blobs, started)?;
         // Quarantined workers may have computed some of the stored outcomes of phases.
         let trusted = store.quarantined()?.is_empty();
-        outcomes.sweep(|job| trusted && jobs.iter().any(|j: &OpenJob| j.record.id == job));
+        // The end of the last run may have come between the commit of a tile and the removal of its outcomes.
+        let is_open = |job: &OpenJob, tile: TileIndex| {
+            let tile = job.tiles.get(tile.at());
+            tile.is_some_and(|tile| tile.output == Output::Open)
+        };
+        outcomes.sweep(|id, tile| {
+            let job = jobs.iter().find(|job| job.record.id == id);
+            trusted && job.is_some_and(|job| is_open(job, tile))
+        });
         let this = Arc::new(Self {
             config: settings,
             clock: Timekeeper::new(clock, retention_clock),

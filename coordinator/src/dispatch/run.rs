@@ -137,6 +137,7 @@ fn outcome(
                 };
                 match changes.set_aside_tile(*job, tile, made.0, made.1, reason) {
                     Ok(()) => {
+                        c.workers.crews.outcomes.remove((*job, tile));
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
                         c.telemetry.metrics.tile_set_aside();
@@ -181,13 +182,13 @@ fn outcome(
             Ok(None)
         }
         StoreCommand::FailJob(id, reason) => {
-            // If a client submits the job again, the new job must not continue from these outcomes.
-            c.workers.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed {
                 reason: reason.clone(),
             };
             let from = [JobPhase::Queued, JobPhase::Running];
             let record = changes.set_state(*id, &from, failed)?;
+            // If a client submits the job again, the new job must not continue from these outcomes.
+            c.workers.crews.outcomes.sweep(|job, _| job != *id);
             c.record_event(LogEvent::of_job(
                 EventKind::Job,
                 *id,

@@ -260,7 +260,7 @@ pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErr
     let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
     let cancelled = move_job(c, job, &from, JobState::Cancelled)?;
     // If a client submits the job again, the new job must not continue from these outcomes.
-    c.workers.crews.outcomes.sweep(|other| other != job);
+    c.workers.crews.outcomes.sweep(|other, _| other != job);
     Ok(cancelled)
 }
 

@@ -73,7 +73,7 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
     }
     removal.remove(free)?;
     forget_scene(&mut changes, &was.record);
-    c.workers.crews.outcomes.sweep(|other| other != id);
+    c.workers.crews.outcomes.sweep(|other, _| other != id);
     *c.results
         .last_partial
         .lock()

@@ -30,7 +30,7 @@ pub(crate) fn condemn(
         }
     }
     // The workers may have computed outcomes of phases of open tiles, so these are computed again, too.
-    c.workers.crews.outcomes.sweep(|_| false);
+    c.workers.crews.outcomes.sweep(|_, _| false);
     changes.tell(Event::Swept);
     for worker in workers {
         let at_ms = c.now().unix_ms;

@@ -9,7 +9,6 @@ use sightline_numbers::ids::PhaseIndex;
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
-use sightline_records::TileState;
 use sightline_records::ids::Lease;
 use sightline_store::{MAX_OUTCOME_BYTES, OutcomeHeader};
 use tokio::sync::mpsc;
@@ -22,7 +21,7 @@ use crate::quota::Sender;
 use crate::telemetry::events::{EventKind, LogEvent};
 use crate::uploads::spool::Spool;
 use crate::workers::crews::{Assignment, CrewChannel, LeaderMessage};
-use crate::workers::sessions;
+use crate::workers::{late_outcomes, sessions};
 
 /// Maximum number of items in a message, which exceeds the items of any phase.
 const MAX_ITEMS: usize = 1 << 20;
@@ -270,23 +269,18 @@ async fn keep(
                 .outcomes
                 .push_from(tile, phase, header, from)
         };
-        if spool
+        let is_stored = spool
             .read(&*c.blobs, push)
-            .map_err(|e| status::of_blob(&e))?
-        {
-            return Ok(true);
+            .map_err(|e| status::of_blob(&e))?;
+        if late_outcomes::remove_if_closed(c, tile).map_err(|e| status::of_store(&e))? {
+            return Ok(false);
         }
-        // The commit of a tile removes its outcomes, but a late outcome may arrive at the same time.
-        let tile = c
-            .records
-            .tile(lease.job, lease.tile)
-            .map_err(|e| status::of_store(&e))?;
-        match tile.state {
-            TileState::Open => Err(Status::resource_exhausted(
+        if !is_stored {
+            return Err(Status::resource_exhausted(
                 "the outcome of a phase could not be stored; see the log of the coordinator",
-            )),
-            TileState::Done { .. } | TileState::SetAside { .. } => Ok(false),
+            ));
         }
+        Ok(true)
     });
     // Helpers wait for every outcome, so a failed outcome ends the crew.
     if !kept.await? {

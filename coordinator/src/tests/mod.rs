@@ -3,6 +3,7 @@
 mod ambient;
 pub(crate) mod life;
 mod load;
+mod outcomes;
 mod presigned;
 mod reopening;
 mod retention;

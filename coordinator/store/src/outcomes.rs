@@ -162,8 +162,8 @@ impl Outcomes {
         }
     }
 
-    /// Removes the outcomes of all jobs for which `is_needed` returns false.
-    pub fn sweep(&self, is_needed: impl Fn(JobId) -> bool) {
+    /// Removes the outcomes of all tiles for which `is_needed` returns false.
+    pub fn sweep(&self, is_needed: impl Fn(JobId, TileIndex) -> bool) {
         let Some(directory) = &self.directory else {
             return;
         };
@@ -177,7 +177,7 @@ impl Outcomes {
             let tile = numbers.and_then(|(job, tile)| {
                 Some((JobId(job.parse().ok()?), TileIndex(tile.parse().ok()?)))
             });
-            if let Some(tile) = tile.filter(|(job, _)| !is_needed(*job)) {
+            if let Some(tile) = tile.filter(|&(job, tile)| !is_needed(job, tile)) {
                 self.remove(tile);
             }
         }
@@ -369,15 +369,15 @@ mod tests {
     }
 
     #[test]
-    fn sweep_removes_outcomes_of_unneeded_jobs() {
+    fn sweep_removes_outcomes_of_unneeded_tiles() {
         let directory = tempfile::tempdir().unwrap();
         let outcomes = Outcomes::in_directory(directory.path().to_owned());
-        outcomes.sweep(|_| false);
-        for job in 1..4 {
-            assert!(outcomes.push((JobId(job), TileIndex(0)), PhaseIndex(0), b"x"));
+        outcomes.sweep(|_, _| false);
+        for (job, tile) in [(1, 0), (2, 0), (2, 1), (3, 0)] {
+            assert!(outcomes.push((JobId(job), TileIndex(tile)), PhaseIndex(0), b"x"));
         }
         std::fs::write(directory.path().join("a note of a person"), b"stays").unwrap();
-        outcomes.sweep(|job| job == JobId(2));
+        outcomes.sweep(|job, tile| job == JobId(2) && tile == TileIndex(0));
         let mut left: Vec<String> = std::fs::read_dir(directory.path())
             .unwrap()
             .map(|e| e.unwrap().file_name().into_string().unwrap())
