@@ -3,9 +3,11 @@
 //!
 //! Stable Rust ends a process with `abort` if an allocation fails, and panics if the system provides no
 //! further thread. The program's allocator records a failed allocation, so that the handler of SIGABRT can
-//! distinguish this end from others. Callers that handle a failed allocation themselves (`try_reserve`)
-//! continue. Panics and errors are recognised by the error numbers that the standard library writes into
-//! their texts, because the crates below return system errors as text.
+//! distinguish this end from others. The C library aborts, too, for example if it cannot allocate the record
+//! of a thread's destructor; the handler recognises this end by an allocation that fails. Callers that handle
+//! a failed allocation themselves (`try_reserve`) continue. Panics and errors are recognised by the error
+//! numbers that the standard library writes into their texts, because the crates below return system errors
+//! as text.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
@@ -170,10 +172,31 @@ mod abort {
         b"error: the system has no memory left for this process; give it more memory \
         (ulimit -v), use fewer threads, or a smaller scene or result\n";
 
-    /// Writes the error message and ends the process if an allocation of this thread has failed. Otherwise
-    /// returns, and `abort` ends the process.
+    /// Length of the mapping that shows whether the system has memory left, in bytes.
+    const PROBE_BYTES: usize = 1 << 20;
+
+    /// Returns true if the system gives this process no further megabyte.
+    fn memory_is_exhausted() -> bool {
+        #[allow(
+            unsafe_code,
+            reason = "a handler of signals cannot allocate, and these system calls take no locks"
+        )]
+        // SAFETY: the system selects the address of the mapping, nothing uses the mapping, and the second
+        // call removes it.
+        unsafe {
+            let (access, kind) = (
+                libc::PROT_READ | libc::PROT_WRITE,
+                libc::MAP_PRIVATE | libc::MAP_ANON,
+            );
+            let mapping = libc::mmap(std::ptr::null_mut(), PROBE_BYTES, access, kind, -1, 0);
+            mapping == libc::MAP_FAILED || libc::munmap(mapping, PROBE_BYTES) != 0
+        }
+    }
+
+    /// Writes the error message and ends the process if an allocation of this thread has failed, or if no
+    /// memory is left. Otherwise returns, and `abort` ends the process.
     extern "C" fn on_abort(_: libc::c_int) {
-        if !HAS_FAILED.get() {
+        if !HAS_FAILED.get() && !memory_is_exhausted() {
             return;
         }
         #[allow(
@@ -208,8 +231,8 @@ mod abort {
     pub(super) fn watch() {
         let handler = on_abort as extern "C" fn(libc::c_int);
         #[allow(unsafe_code, reason = "a handler of signals is set by a function of C")]
-        // SAFETY: the handler calls only functions that are permitted in handlers. It reads a thread-local
-        // variable that needs no initialisation.
+        // SAFETY: the handler calls only system calls and functions that are permitted in handlers. It reads
+        // a thread-local variable that needs no initialisation.
         unsafe {
             libc::signal(libc::SIGABRT, handler as libc::sighandler_t);
         }
