@@ -2,8 +2,8 @@
 //! an error message.
 //!
 //! Stable Rust ends a process with `abort` if an allocation fails, and panics if the system provides no
-//! further thread. The program's allocator records a failed allocation, so that the handler of SIGABRT can
-//! distinguish this end from others. The C library aborts, too, for example if it cannot allocate the record
+//! further thread. The program's allocator ends the process itself if a small allocation fails. It records
+//! other failed allocations, so that the handler of SIGABRT can distinguish this end from others. The C library aborts, too, for example if it cannot allocate the record
 //! of a thread's destructor; the handler recognises this end by an allocation that fails. Callers that handle
 //! a failed allocation themselves (`try_reserve`) continue. Panics and errors are recognised by the error
 //! numbers that the standard library writes into their texts, because the crates below return system errors
@@ -26,10 +26,21 @@ thread_local! {
     static HAS_FAILED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Records a failed allocation if `pointer` is null. Returns `pointer`.
-fn noted(pointer: *mut u8) -> *mut u8 {
+/// Maximum size in bytes of an allocation whose failure ends the process at once.
+///
+/// Callers that handle failed allocations request more memory. The report of another failed allocation, with
+/// a backtrace, needs memory, too. If an allocation of this report fails, the standard library waits forever
+/// for the lock of the backtrace, which the same thread holds.
+const ESSENTIAL: usize = 1 << 20;
+
+/// Records a failed allocation of `bytes` bytes if `pointer` is null. Returns `pointer`.
+fn noted(pointer: *mut u8, bytes: usize) -> *mut u8 {
     if pointer.is_null() {
         HAS_FAILED.set(true);
+        #[cfg(unix)]
+        if bytes <= ESSENTIAL {
+            abort::out_of_memory();
+        }
     }
     pointer
 }
@@ -39,17 +50,17 @@ fn noted(pointer: *mut u8) -> *mut u8 {
 unsafe impl GlobalAlloc for Allocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: as the caller promises.
-        noted(unsafe { System.alloc(layout) })
+        noted(unsafe { System.alloc(layout) }, layout.size())
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         // SAFETY: as the caller promises.
-        noted(unsafe { System.alloc_zeroed(layout) })
+        noted(unsafe { System.alloc_zeroed(layout) }, layout.size())
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
         // SAFETY: as the caller promises.
-        noted(unsafe { System.realloc(pointer, layout, bytes) })
+        noted(unsafe { System.realloc(pointer, layout, bytes) }, bytes)
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
@@ -80,9 +91,9 @@ pub fn watch() {
                 if what == Exhausted::Memory {
                     HAS_FAILED.set(true);
                 }
-                // Other threads may wait forever for the thread that could not start.
+                // Other threads may wait forever for a thread that could not start or that has panicked.
                 #[cfg(unix)]
-                if what == Exhausted::Threads {
+                if what != Exhausted::Files {
                     abort::end();
                 }
             }
@@ -121,6 +132,9 @@ impl Exhausted {
         } else if has(&[12])
             || [
                 "out of memory",
+                "failed to allocate",
+                // zstd cannot allocate a context.
+                "null pointer when creating new context",
                 "not enough memory",
                 "Cannot allocate memory",
             ]
@@ -199,27 +213,32 @@ mod abort {
         if !HAS_FAILED.get() && !memory_is_exhausted() {
             return;
         }
+        out_of_memory();
+    }
+
+    /// Writes the error message and ends the process with exit code 1.
+    pub(super) fn out_of_memory() -> ! {
         #[allow(
             unsafe_code,
-            reason = "a handler of signals may call these functions of C and no others"
+            reason = "neither a handler of signals nor an allocator may allocate"
         )]
-        // SAFETY: the bytes outlive the call, and both functions may be called in a handler.
-        unsafe {
-            // The write fails only if stderr is closed, and then the error cannot be shown either.
-            let _ = libc::write(
+        // SAFETY: the bytes outlive the call. The write fails only if stderr is closed, and then the error
+        // cannot be shown either.
+        let _ = unsafe {
+            libc::write(
                 libc::STDERR_FILENO,
                 SENTENCE.as_ptr().cast(),
                 SENTENCE.len(),
-            );
-            libc::_exit(1);
-        }
+            )
+        };
+        end();
     }
 
     /// Ends the process with exit code 1.
     pub(super) fn end() -> ! {
         #[allow(
             unsafe_code,
-            reason = "the standard library's exit runs handlers, which may need threads"
+            reason = "the standard library's exit runs handlers, which may need threads and memory"
         )]
         // SAFETY: the function has no preconditions.
         unsafe {

@@ -8,6 +8,7 @@
 //! - `aabb`: [`Aabb`], an axis-aligned box in single precision.
 //! - `ids`: index types of triangles, objects, cells, tiles and phases.
 //! - `integer`: quotients of two integers of any size, in floating point.
+//! - `memory`: the end of a computation that lacks memory.
 //! - `random`: `SplitMix64`, a stream of pseudorandom numbers. A list of integers selects the stream.
 //! - `union_find`: `UnionFind`, disjoint sets of the integers 0 … n−1.
 //! - `varint`: variable-length integers (LEB128).
@@ -37,6 +38,7 @@
 mod aabb;
 pub mod ids;
 pub mod integer;
+pub mod memory;
 pub mod random;
 pub mod union_find;
 pub mod varint;

@@ -5,6 +5,7 @@ use std::io::Read as _;
 use dashu_int::IBig;
 use glam::Vec3;
 use sightline_numbers::Aabb;
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_numbers::varint::{self, VarintError};
 
 use super::{APART, CodecError, MAX_BYTES, MAX_MEMORY};
@@ -22,7 +23,10 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<CellCertificate, CodecErro
     let mut raw = Vec::new();
     zstd::stream::Decoder::new(bytes)
         .and_then(|d| d.take(MAX_BYTES + 1).read_to_end(&mut raw))
-        .map_err(|_| CodecError("zstd cannot decompress the bytes"))?;
+        .map_err(|e| {
+            other_than_exhaustion(e);
+            CodecError("zstd cannot decompress the bytes")
+        })?;
     if raw.len() as u64 > MAX_BYTES {
         return Err(CodecError("the uncompressed size exceeds 256 MiB"));
     }

@@ -5,6 +5,7 @@
 
 use std::io::{Read as _, Write};
 
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_numbers::varint;
 
 /// The first byte of a tile's output, before compression. Outputs with view cells begin with other bytes.
@@ -55,7 +56,7 @@ impl Openness {
         self.values
             .iter()
             .for_each(|value| raw.extend_from_slice(&value.to_le_bytes()));
-        zstd::stream::encode_all(raw.as_slice(), LEVEL)
+        zstd::stream::encode_all(raw.as_slice(), LEVEL).map_err(other_than_exhaustion)
     }
 
     /// Decodes a tile's output, which must have `points` receivers with `numbers` values each.
@@ -66,7 +67,10 @@ impl Openness {
         let head = 1 + 2 * varint::MOST_BYTES as usize + 8;
         let values = (points as usize).saturating_mul(numbers as usize);
         let most = values.saturating_mul(4).saturating_add(head) as u64;
-        let bad = |_| OpennessError("the bytes are not zstd data");
+        let bad = |e| {
+            other_than_exhaustion(e);
+            OpennessError("the bytes are not zstd data")
+        };
         let unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
         let mut raw = Vec::new();
         // Bytes that unpack to more than the tile's output are not unpacked further.

@@ -7,6 +7,7 @@
 use std::io::Read as _;
 
 use sightline_model::CellStats;
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_numbers::varint;
 use sightline_trace::lines::bits::SeenBits;
 use sightline_trace::lines::pairs::Pairs;
@@ -175,7 +176,10 @@ pub(super) fn decode<A: ItemResult>(
     let mut raw = Vec::new();
     zstd::stream::Decoder::new(bytes)
         .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
-        .map_err(|_| ForeignFinds("the bytes are not zstd data"))?;
+        .map_err(|e| {
+            other_than_exhaustion(e);
+            ForeignFinds("the bytes are not zstd data")
+        })?;
     let mut rest = raw.as_slice();
     if number(&mut rest) != Some(items as u64) {
         return Err(ForeignFinds(

@@ -13,6 +13,7 @@ mod write;
 
 use std::io::Read as _;
 
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_viewcells::{CellBox, LatticePoint};
 
 use crate::output::{Pack, TileOutput};
@@ -71,7 +72,10 @@ fn read(
     most: u64,
     keep: &dyn Fn(LatticePoint) -> bool,
 ) -> Result<TileOutput, CodecError> {
-    let bad = |_| CodecError("the bytes are not zstd data");
+    let bad = |e| {
+        other_than_exhaustion(e);
+        CodecError("the bytes are not zstd data")
+    };
     let mut unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
     let mut raw = Vec::new();
     unpacked

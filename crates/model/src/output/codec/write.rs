@@ -1,6 +1,7 @@
 //! The encoder of a tile's output.
 
 use rayon::prelude::*;
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_numbers::varint;
 
 use super::MAX_UNPACKED;
@@ -103,7 +104,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                 --min-distance",
         ));
     }
-    zstd::stream::encode_all(raw.as_slice(), LEVEL)
+    zstd::stream::encode_all(raw.as_slice(), LEVEL).map_err(other_than_exhaustion)
 }
 
 pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
