@@ -106,9 +106,51 @@ pub(super) struct InputTriangle {
 pub(super) struct WideHierarchy {
     pub(super) nodes: Vec<Node>,
     pub(super) leaves: Vec<Leaf>,
-    /// Powers of two: the scale of the vertices, whose largest coordinate becomes 1/2 to 1, and its inverse.
+    /// The units of the vertices.
+    pub(super) units: Units,
+}
+
+/// The units of a scene's hierarchies: coordinates are translated and scaled without rounding.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Units {
+    /// The coordinates of the new origin, in world space.
+    pub(super) origin: Vec3,
+    /// Powers of two: the scale of the translated coordinates, of which the largest becomes 1/2 to 1, and its
+    /// inverse.
     pub(super) scale: f32,
     pub(super) unscale: f32,
+}
+
+impl Units {
+    /// Returns the units of a scene with these bounds.
+    ///
+    /// Along an axis on which the scene is far from the origin of world space, the origin moves to the near
+    /// end of the scene. The difference between this end and any coordinate of up to twice its absolute value
+    /// is exact (Sterbenz 1974), so the vertices of triangles do not move relative to each other.
+    pub(super) fn of_scene(bounds: Aabb) -> Self {
+        let mut origin = Vec3::ZERO;
+        for axis in 0..3 {
+            let (low, high) = (bounds.min[axis], bounds.max[axis]);
+            if low > 0.0 && high <= 2.0 * low {
+                origin[axis] = low;
+            } else if high < 0.0 && low >= 2.0 * high {
+                origin[axis] = high;
+            }
+        }
+        let (low, high) = (bounds.min - origin, bounds.max - origin);
+        let (scale, unscale) = scales(low.abs().max(high.abs()).max_element());
+        Self {
+            origin,
+            scale,
+            unscale,
+        }
+    }
+
+    /// Converts a point from world space.
+    #[inline(always)]
+    pub(super) fn convert(&self, point: Vec3) -> Vec3 {
+        (point - self.origin) * self.scale
+    }
 }
 
 /// The cheapest forms of a subtree: by number of roots minus one, the cost and how it is attained.
@@ -132,19 +174,16 @@ enum Form {
 }
 
 impl WideHierarchy {
-    /// Builds the hierarchy over triangles whose coordinates are at most `reach`.
-    ///
-    /// All hierarchies of a scene get the same reach, so that they have the same scale.
+    /// Builds the hierarchy over triangles in a scene's units.
     ///
     /// # Errors
     /// A message if there are more triangles than a leaf can number.
-    pub(super) fn build(triangles: &[InputTriangle], reach: f32) -> Result<Self, String> {
-        let (scale, unscale) = scales(reach);
+    pub(super) fn build(triangles: &[InputTriangle], units: Units) -> Result<Self, String> {
         let boxes: Vec<Aabb> = triangles
             .par_iter()
             .map(|t| {
                 let _mode = FloatMode::set();
-                Aabb::around(t.vertices.map(|v| v * scale))
+                Aabb::around(t.vertices.map(|v| units.convert(v)))
             })
             .collect();
         let tree = Bvh::build(&boxes)?;
@@ -154,8 +193,7 @@ impl WideHierarchy {
             return Ok(Self {
                 nodes,
                 leaves: Vec::new(),
-                scale,
-                unscale,
+                units,
             });
         }
         let mut forms = vec![
@@ -171,7 +209,7 @@ impl WideHierarchy {
             tree: &tree,
             forms: &forms,
             triangles,
-            scale,
+            units,
             nodes: Vec::with_capacity(triangles.len() / 4 + 1),
             leaves: Vec::with_capacity(triangles.len() / 3 + 1),
         };
@@ -179,8 +217,7 @@ impl WideHierarchy {
         Ok(Self {
             nodes: built.nodes,
             leaves: built.leaves,
-            scale,
-            unscale,
+            units,
         })
     }
 }
@@ -264,7 +301,7 @@ struct Emission<'a> {
     tree: &'a Bvh,
     forms: &'a [Forms],
     triangles: &'a [InputTriangle],
-    scale: f32,
+    units: Units,
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
 }
@@ -342,8 +379,9 @@ impl Emission<'_> {
         for (lane, place) in places.enumerate() {
             let triangle = &self.triangles[self.tree.order[place] as usize];
             for (corner, v) in triangle.vertices.iter().enumerate() {
+                let converted = self.units.convert(*v);
                 for axis in 0..3 {
-                    leaf.vertices[corner][axis][lane] = v[axis] * self.scale;
+                    leaf.vertices[corner][axis][lane] = converted[axis];
                 }
             }
             leaf.triangles[lane] = triangle.number;

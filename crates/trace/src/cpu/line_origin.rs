@@ -43,7 +43,7 @@ impl RayScale {
         let exponent = exponent.min(253);
         let shorten = f32::from_bits((254 - exponent) << 23);
         let lengthen = f32::from_bits(exponent << 23);
-        let (inwards, outwards) = (lengthen * scene.scale, shorten * scene.unscale);
+        let (inwards, outwards) = (lengthen * scene.units.scale, shorten * scene.units.unscale);
         (inwards.is_normal() && outwards.is_normal()).then_some(Self {
             direction: shorten,
             inwards,
@@ -55,7 +55,7 @@ impl RayScale {
 /// Returns the origin in scaled units, or `None` if a coordinate is too large or not finite.
 #[inline(always)]
 pub(super) fn scaled_origin(origin: [f32; 3], scene: &WideHierarchy) -> Option<[f32; 3]> {
-    let scaled = origin.map(|o| o * scene.scale);
+    let scaled = scene.units.convert(origin.into()).to_array();
     scaled.iter().all(|o| o.abs() <= FARTHEST).then_some(scaled)
 }
 

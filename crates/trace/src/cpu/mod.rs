@@ -5,9 +5,10 @@
 //! The triangle that a ray meets is a function of only the ray and the triangles. Neither the hierarchy nor
 //! its traversal nor the instruction set can change a bit, so all processors have one numerics profile.
 //!
-//! 1. **Scale.** The scene is scaled by a power of two to coordinates of at most one, and each direction so
-//!    that its largest component is one to two. Both scalings are exact, except for coordinates below 2⁻¹²⁶
-//!    of the largest.
+//! 1. **Units.** Along axes on which the scene is far from the origin of world space, the scene is translated
+//!    to the new origin. It is then scaled by a power of two to coordinates of at most one, and each direction
+//!    so that its largest component is one to two. All three are exact, except for coordinates below 2⁻¹²⁶ of
+//!    the largest. The origin of a ray is rounded once if it is far from the scene.
 //! 2. **Shear.** Vertices are translated by the origin and sheared so that the ray becomes the third axis
 //!    (Woop, Benthin and Wald 2013). Each operation in `f32` is rounded separately. A vertex has the same
 //!    sheared position in all its triangles.
@@ -59,7 +60,7 @@ use std::sync::{Arc, OnceLock};
 use rayon::prelude::*;
 use sightline_scene::{Scene, Side, TriangleId};
 
-use self::hierarchy::{InputTriangle, NUMBER, ONE_SIDED, PASSED, WideHierarchy};
+use self::hierarchy::{InputTriangle, NUMBER, ONE_SIDED, PASSED, Units, WideHierarchy};
 use self::renderer::CpuRenderer;
 use self::tracer::{CpuScene, CpuTracer};
 use crate::cube::CubeSpec;
@@ -132,9 +133,8 @@ impl CpuBackend {
         let passed = passed.par_iter().map(|id| self.input(*id, *id, PASSED));
         triangles.par_extend(passed.flatten_iter());
         let near = crate::near_distance(self.scene.bounds());
-        let bounds = self.scene.bounds();
-        let reach = bounds.min.abs().max(bounds.max.abs()).max_element();
-        let hierarchy = WideHierarchy::build(&triangles, reach)?;
+        let units = Units::of_scene(self.scene.bounds());
+        let hierarchy = WideHierarchy::build(&triangles, units)?;
         Ok(Arc::new(CpuScene::new(hierarchy, near)))
     }
 

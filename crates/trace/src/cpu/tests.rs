@@ -52,6 +52,9 @@ fn scene(triangles: Vec<Triangle>, sides: Option<Vec<Side>>) -> Arc<Scene> {
     })
 }
 
+/// The place of a scene that is not scaled and not moved.
+const HERE: (f32, Vec3) = (1.0, Vec3::ZERO);
+
 /// Returns triangles of very different sizes. Half have vertices on a lattice, so that many are coplanar,
 /// share vertices and edges, or are equal.
 fn soup(count: u32, scale: f32, random: &mut Hashed) -> Vec<Triangle> {
@@ -74,8 +77,8 @@ fn soup(count: u32, scale: f32, random: &mut Hashed) -> Vec<Triangle> {
 }
 
 /// Returns packets of rays: from lattice points to lattice points, from one origin in similar directions, and
-/// along axes. Some packets are not full.
-fn packets(count: u32, scale: f32, random: &mut Hashed) -> Vec<Packet> {
+/// along axes. Some packets are not full. The scene is scaled and then moved.
+fn packets(count: u32, (scale, moved): (f32, Vec3), random: &mut Hashed) -> Vec<Packet> {
     (0..count)
         .map(|i| {
             let mut packet = Packet::default();
@@ -94,7 +97,8 @@ fn packets(count: u32, scale: f32, random: &mut Hashed) -> Vec<Packet> {
                     ),
                     _ => (origin, random.point() - 0.5),
                 };
-                packet.push((from * scale).to_array(), (direction * scale).to_array());
+                let origin = from * scale + moved;
+                packet.push(origin.to_array(), (direction * scale).to_array());
             }
             packet
         })
@@ -105,6 +109,7 @@ fn packets(count: u32, scale: f32, random: &mut Hashed) -> Vec<Packet> {
 struct Search<'a> {
     triangles: &'a [Triangle],
     sides: &'a [Side],
+    moved: DVec3,
     scale: f64,
 }
 
@@ -123,7 +128,8 @@ impl Search<'_> {
         }
         let shorten = (-f64::from(largest).log2().floor()).exp2();
         let d = direction.map(|d| (f64::from(d) * shorten) as f32);
-        let o = origin.map(|o| (f64::from(o) * self.scale) as f32);
+        let convert = |v: Vec3| ((v.as_dvec3() - self.moved) * self.scale).as_vec3();
+        let o = convert(origin.into()).to_array();
         let main = (0..3)
             .rev()
             .max_by(|a, b| d[*a].abs().total_cmp(&d[*b].abs()))
@@ -134,9 +140,7 @@ impl Search<'_> {
         let unit = self.scale / shorten;
         let mut met = Vec::new();
         for (id, triangle) in (0..).zip(self.triangles) {
-            let mut v = triangle
-                .v
-                .map(|v| v.to_array().map(|c| (f64::from(c) * self.scale) as f32));
+            let mut v = triangle.v.map(|v| convert(v).to_array());
             let side = self.sides.get(id as usize).copied().unwrap_or(Side::Both);
             if side == Side::Clockwise {
                 v.swap(1, 2);
@@ -177,7 +181,7 @@ fn compare(
     triangles: Vec<Triangle>,
     sides: Option<Vec<Side>>,
     passed: bool,
-    scale: f32,
+    (scale, moved): (f32, Vec3),
     count: u32,
 ) {
     let mut random = Hashed::new(&[u64::from(count), triangles.len() as u64]);
@@ -191,12 +195,13 @@ fn compare(
     let search = Search {
         triangles: scene.triangles(),
         sides: sides.as_deref().unwrap_or(&[]),
-        scale: f64::from(built.hierarchy.scale),
+        moved: built.hierarchy.units.origin.as_dvec3(),
+        scale: f64::from(built.hierarchy.units.scale),
     };
     let near = built.near;
     let mut built = Arc::into_inner(built).unwrap();
     let step = 1e-4 * scale;
-    let mut rays = packets(count, scale, &mut random);
+    let mut rays = packets(count, (scale, moved), &mut random);
     for packet in rays.iter_mut().step_by(3) {
         packet.distance = std::array::from_fn(|_| random.unit() * 2.0);
     }
@@ -277,7 +282,7 @@ fn traversals_have_hits_of_search() {
             soup(count, 1.0, &mut random),
             None,
             false,
-            1.0,
+            HERE,
             rays.max(count / 2),
         );
     }
@@ -291,18 +296,41 @@ fn passed_and_one_sided_triangles_have_hits_of_search() {
             .map(|_| Side::ALL[(random.bits() % 3) as usize])
             .collect()
     };
-    compare(soup(400, 1.0, &mut random), None, true, 1.0, 60);
+    compare(soup(400, 1.0, &mut random), None, true, HERE, 60);
     let one_sided = sides(400, &mut random);
-    compare(soup(400, 1.0, &mut random), Some(one_sided), false, 1.0, 60);
+    compare(
+        soup(400, 1.0, &mut random),
+        Some(one_sided),
+        false,
+        HERE,
+        60,
+    );
     let one_sided = sides(400, &mut random);
-    compare(soup(400, 1.0, &mut random), Some(one_sided), true, 1.0, 60);
+    compare(soup(400, 1.0, &mut random), Some(one_sided), true, HERE, 60);
 }
 
 #[test]
 fn scale_of_scene_does_not_matter() {
     let mut random = Hashed::new(&[3]);
     for scale in [1e-17, 1e-9, 1e7] {
-        compare(soup(200, scale, &mut random), None, false, scale, 40);
+        let place = (scale, Vec3::ZERO);
+        compare(soup(200, scale, &mut random), None, false, place, 40);
+    }
+}
+
+#[test]
+fn place_of_scene_does_not_matter() {
+    let mut random = Hashed::new(&[5]);
+    for moved in [
+        Vec3::new(1e5, -3e5, 4e3),
+        Vec3::new(-1e5, 0.0, 7e6),
+        Vec3::splat(20.0),
+    ] {
+        let mut triangles = soup(200, 1.0, &mut random);
+        for triangle in &mut triangles {
+            triangle.v = triangle.v.map(|v| v + moved);
+        }
+        compare(triangles, None, false, (1.0, moved), 40);
     }
 }
 
