@@ -508,3 +508,34 @@ fn time_budget_ends_with_result() {
         .code(2)
         .says("lines or cubes");
 }
+
+#[test]
+fn completion_adds_few_undecided_triangles() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate maze --grid 6x6 -o maze.glb");
+    let job = "maze.glb --cells 6x2x6 --target-error 0.01 --backend cpu";
+    let bake = |name: &str, options: &str| {
+        let files = format!("-o {name}.pvs --data-dir {name}");
+        sandbox.ok(&format!("bake {job} {options} {files}"));
+        let dump = sandbox.dump(&format!("{name}.pvs"));
+        let drawn: usize = dump.cells.iter().map(|c| c.visible.len()).sum();
+        let undecided: usize = dump.cells.iter().map(|c| c.undecided.len()).sum();
+        (drawn - undecided, undecided)
+    };
+    let (seen, likely) = bake("auto", "--complete auto");
+    assert!(
+        0 < likely && 20 * likely <= seen,
+        "{likely} likely triangles, {seen} seen"
+    );
+    assert_eq!(bake("default", "").1, 0);
+    assert_eq!(bake("off", "--complete off --method exact").1, 0);
+    for wrong in ["--method exact", "--sampler cubes", "--min-share 0.01"] {
+        sandbox
+            .run(&format!("bake {job} {wrong} --complete auto -o wrong.pvs"))
+            .code(2)
+            .says("--complete needs --method aggressive with --sampler lines");
+    }
+    // The bound counts lines that end on a triangle outside the drawn set.
+    let bounded = "--complete auto --max-error 0.02";
+    assert!(bake("bounded", bounded).1 > 0);
+}

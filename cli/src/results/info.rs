@@ -253,7 +253,7 @@ impl Summary {
                 false => String::new(),
             },
             match self.undecided {
-                // Sampling does not decide triangles, so it has no number of undecided triangles.
+                // Only a method that decides triangles, or completion, has a number of undecided triangles.
                 0 => format!(
                     "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}{}",
                     self.mean_visible,
@@ -265,6 +265,15 @@ impl Summary {
                     } else {
                         ""
                     },
+                ),
+                undecided if self.decided.is_none() => format!(
+                    "seen from a cell: {:.0} triangles on average; drawn with likely ones, which are \
+                     undecided: {:.0} ({:.2} %), {} to {}",
+                    self.mean_visible - undecided as f64 / f64::from(self.cells_reached.max(1)),
+                    self.mean_visible,
+                    self.mean_visible_fraction * 100.0,
+                    self.min_visible,
+                    self.max_visible,
                 ),
                 undecided => format!(
                     "visible from a cell: between {:.0} and {:.0} triangles on average; \

@@ -44,6 +44,9 @@ pub enum OutputError {
         "a cell of the output lacks requested results of exact queries, or has unrequested results"
     )]
     Method,
+    /// A cell has undecided items, and the job neither decides nor completes its sets.
+    #[error("a cell of the output has undecided items, and the job does not complete its sets")]
+    Completion,
     /// The output's pairs of cells are missing or unexpected, or are over other cells than the job's.
     #[error(
         "the output's pairs of cells are missing or unexpected, or are over other cells than the job's"
@@ -99,8 +102,8 @@ fn packed(unpacked: u64) -> u64 {
         .min(codec::MAX_UNPACKED)
 }
 
-/// Returns the maximum length of a tile's unpacked output, in bytes. A set has at most all items, each with a
-/// difference and a count of at most five bytes. Proofs and packs have no such bound.
+/// Returns the maximum length of a tile's unpacked output, in bytes. A set has at most all items, each with
+/// two differences and a count of at most five bytes. Proofs and packs have no such bound.
 fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     if tile.kind != TileKind::Leaf || task.is_decided() || tile.cells == 0 {
         return codec::MAX_UNPACKED;
@@ -114,7 +117,7 @@ fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
         Division::Adaptive { .. } => tile.cells.saturating_mul(1 << 12),
         Division::Grid(_) | Division::Tree(_) => tile.cells,
     };
-    let sets = cells.saturating_mul(items.saturating_mul(10).saturating_add(LEAST_UNPACKED));
+    let sets = cells.saturating_mul(items.saturating_mul(15).saturating_add(LEAST_UNPACKED));
     sets.saturating_add(pairs.saturating_mul(pairs))
         .saturating_add(1 << 20)
         .min(codec::MAX_UNPACKED)
@@ -160,6 +163,10 @@ pub fn check(
         .any(|cell| cell.decision.is_some() != exact)
     {
         return Err(OutputError::Method);
+    }
+    let may_complete = exact || task.is_completed();
+    if !may_complete && sets.cells.iter().any(|cell| !cell.undecided.is_empty()) {
+        return Err(OutputError::Completion);
     }
     let pairs = task
         .pair_cells()
@@ -216,14 +223,16 @@ fn unreached(task: &Visibility, root: &CellBox, nodes: &[SubtreeNode]) -> Vec<bo
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
+    use sightline_model::numbers::{TargetError, TileCells, TriangleBudget};
     use sightline_model::{
-        CellSets, CellToCell, GridCells, JobSpec, KnownCells, Method, Pack, PlannedJob, Sampler,
-        Sampling, Task,
+        Adaptive, CellSets, CellToCell, Completion, Effort, GridCells, JobSpec, KnownCells,
+        LineAim, Method, Pack, PlannedJob, Sampler, Sampling, Task, Viewpoints,
     };
     use sightline_numbers::Aabb;
+    use sightline_viewcells::PartMask;
 
     use super::*;
-    use crate::placeholder;
+    use crate::placeholder::{empty_cells, placeholder};
 
     const SCENE: SceneSize = SceneSize {
         triangles: 10,
@@ -238,12 +247,17 @@ mod tests {
     }
 
     /// Returns a job of lines over two cells, without pairs.
-    fn job() -> PlannedJob {
+    fn job(completion: Completion) -> PlannedJob {
         let view_box = Aabb::new(Vec3::ZERO, Vec3::ONE);
         let cells = KnownCells::Grid(GridCells::new(view_box, [2, 1, 1]).unwrap());
+        let method = Method::Aggressive {
+            sampling: Sampling::new(Sampler::lines(cells)),
+            items: Granularity::Triangles,
+            completion,
+        };
         let task = Visibility {
             pairs: CellToCell::Off,
-            ..Method::aggressive(Sampling::new(Sampler::lines(cells))).into()
+            ..method.into()
         };
         let task = Task::Visibility(task);
         let scene = [7; 32];
@@ -263,8 +277,177 @@ mod tests {
     }
 
     #[test]
+    fn longest_output_follows_from_cells_and_items() {
+        let job = job(Completion::Off);
+        let (task, tile) = (job.visibility().unwrap(), &job.plan().tiles[0]);
+        let sets = 2 * (10 * 15 + LEAST_UNPACKED);
+        assert_eq!(most_unpacked(task, tile, SCENE), sets + (1 << 20));
+        assert_eq!(
+            most_packed(task, tile, SCENE),
+            packed(sets + (1 << 20)),
+            "compressed"
+        );
+        let with_pairs = Visibility {
+            pairs: CellToCell::On,
+            ..task.clone()
+        };
+        assert_eq!(
+            most_unpacked(&with_pairs, tile, SCENE),
+            sets + 4 + (1 << 20)
+        );
+        // A tile of samples, and a tile whose number of cells is unknown.
+        for unbounded in [
+            Tile {
+                kind: TileKind::Face(0),
+                ..tile.clone()
+            },
+            Tile {
+                cells: 0,
+                ..tile.clone()
+            },
+        ] {
+            assert_eq!(most_unpacked(task, &unbounded, SCENE), codec::MAX_UNPACKED);
+        }
+        let cells = KnownCells::Grid(GridCells::new(task.view_box(), [2, 1, 1]).unwrap());
+        let exact = Method::exact(Sampling::new(Sampler::lines(cells)), Effort::Full);
+        assert_eq!(
+            most_unpacked(&exact.into(), tile, SCENE),
+            codec::MAX_UNPACKED
+        );
+        let budget = TriangleBudget::new(5).unwrap();
+        let aim = LineAim::Adaptive {
+            cells: Adaptive::new(task.view_box(), budget, 6).unwrap(),
+            error: TargetError::default(),
+        };
+        let adaptive = Visibility {
+            pairs: CellToCell::Off,
+            ..Method::aggressive(Sampling::new(Sampler::Lines { aim, time: None })).into()
+        };
+        assert_eq!(
+            most_unpacked(&adaptive, tile, SCENE),
+            4096 * sets + (1 << 20)
+        );
+    }
+
+    #[test]
+    fn numbers_of_items_follow_granularity() {
+        let of = |items| -> Visibility {
+            let job = job(Completion::Off);
+            let sampling = job.visibility().unwrap().sampling().unwrap().clone();
+            let completion = Completion::Off;
+            Method::Aggressive {
+                sampling,
+                items,
+                completion,
+            }
+            .into()
+        };
+        for (items, number) in [
+            (Granularity::Triangles, 10),
+            (Granularity::Clusters, 10),
+            (Granularity::Objects, 1),
+        ] {
+            assert_eq!(SCENE.items_of(&of(items), TileKind::Leaf), number);
+            assert_eq!(SCENE.items_of(&of(items), TileKind::Face(0)), 10);
+        }
+    }
+
+    #[test]
+    fn too_long_output_is_not_damaged_output() {
+        let job = job(Completion::Off);
+        let (task, tile) = (job.visibility().unwrap(), &job.plan().tiles[0]);
+        let mut sets = empty_cells(task, tile);
+        sets.portals = vec![0; 2 << 20];
+        let long = codec::encode(&TileOutput::Cells(sets)).unwrap();
+        let all = most_unpacked(task, tile, SCENE);
+        let checked = |bytes: &[u8], most| check(task, TileIndex(0), tile, SCENE, bytes, most);
+        assert_eq!(checked(&long, all - 1), Err(OutputError::Large));
+        for most in [all, all + 1] {
+            let error = checked(&long, most);
+            assert!(matches!(error, Err(OutputError::Encoding(_))), "{error:?}");
+        }
+        let error = checked(b"nonsense", all - 1);
+        assert!(matches!(error, Err(OutputError::Encoding(_))), "{error:?}");
+    }
+
+    #[test]
+    fn only_cells_without_viewpoints_are_unreached() {
+        let view_box = Aabb::new(Vec3::ZERO, Vec3::ONE);
+        let mut mask = PartMask::empty([2, 1, 1]);
+        mask.mark([0; 3]);
+        let grid = GridCells::new(view_box, [2, 1, 1]).unwrap();
+        let grid = grid.with_viewpoints(Viewpoints::new(mask, None)).unwrap();
+        let task = Visibility {
+            pairs: CellToCell::Off,
+            ..Method::aggressive(Sampling::new(Sampler::lines(KnownCells::Grid(grid)))).into()
+        };
+        let job = PlannedJob::new(JobSpec {
+            scene: [7; 32],
+            task: Task::Visibility(task),
+        })
+        .unwrap();
+        let with = |unreached: [bool; 2]| {
+            let mut sets = empty_cells(job.visibility().unwrap(), &job.plan().tiles[0]);
+            for (cell, unreached) in sets.cells.iter_mut().zip(unreached) {
+                cell.unreached = unreached;
+            }
+            checked(&job, &codec::encode(&TileOutput::Cells(sets)).unwrap())
+        };
+        assert_eq!(with([false, true]), Ok(2));
+        for wrong in [[false, false], [true, false], [true, true]] {
+            assert_eq!(with(wrong), Err(OutputError::Viewpoints));
+        }
+    }
+
+    #[test]
+    fn first_tile_of_portals_has_portals() {
+        let view_box = Aabb::new(Vec3::ZERO, Vec3::ONE);
+        let grid = GridCells::new(view_box, [2, 1, 1]).unwrap();
+        let grid = grid.with_tile_cells(TileCells::new(1).unwrap()).unwrap();
+        let task = Visibility {
+            pairs: CellToCell::Off,
+            ..Method::portals(KnownCells::Grid(grid)).into()
+        };
+        let job = PlannedJob::new(JobSpec {
+            scene: [7; 32],
+            task: Task::Visibility(task),
+        })
+        .unwrap();
+        let task = job.visibility().unwrap();
+        let with = |number: TileIndex, portals: Vec<u8>| {
+            let tile = &job.plan().tiles[number.at()];
+            let mut sets = empty_cells(task, tile);
+            sets.portals = portals;
+            for cell in &mut sets.cells {
+                cell.decision = Some(Default::default());
+            }
+            let bytes = codec::encode(&TileOutput::Cells(sets)).unwrap();
+            check(task, number, tile, SCENE, &bytes, u64::MAX)
+        };
+        let portals = Portals::undivided(SCENE.triangles).encode();
+        assert_eq!(with(TileIndex(0), portals.clone()), Ok(1));
+        assert_eq!(with(TileIndex(1), Vec::new()), Ok(1));
+        for (number, portals) in [
+            (TileIndex(0), Vec::new()),
+            (TileIndex(0), vec![1]),
+            (TileIndex(1), portals),
+        ] {
+            assert_eq!(with(number, portals), Err(OutputError::Portals));
+        }
+    }
+
+    #[test]
+    fn undecided_items_are_accepted_with_completion() {
+        let job = job(Completion::Auto);
+        let mut sets = empty_cells(job.visibility().unwrap(), &job.plan().tiles[0]);
+        (sets.cells[0].visible, sets.cells[0].undecided) = (vec![2, 3], vec![3]);
+        let bytes = codec::encode(&TileOutput::Cells(sets)).unwrap();
+        assert_eq!(checked(&job, &bytes), Ok(2));
+    }
+
+    #[test]
     fn outputs_that_differ_from_the_plan_are_rejected() {
-        let job = job();
+        let job = job(Completion::Off);
         let good = placeholder(&job, &job.plan().tiles[0]).unwrap();
         assert_eq!(checked(&job, &good), Ok(2));
         assert!(matches!(
@@ -289,6 +472,10 @@ mod tests {
         );
         let decided = |sets: &mut CellSets| sets.cells[1].decision = Some(Default::default());
         assert_eq!(change(&decided), Err(OutputError::Method));
+        let complete = |sets: &mut CellSets| {
+            (sets.cells[0].visible, sets.cells[0].undecided) = (vec![3], vec![3]);
+        };
+        assert_eq!(change(&complete), Err(OutputError::Completion));
         assert_eq!(
             change(&|sets| sets.portals = vec![1]),
             Err(OutputError::Portals)

@@ -215,7 +215,7 @@ fn shown<'a>(cell: &'a CellSet, all: Option<&'a [u32]>) -> Cell<'a> {
         },
         None => Cell {
             visible: &cell.visible,
-            undecided: cell.decision.as_ref().map_or(&[][..], |d| &d.undecided),
+            undecided: &cell.undecided,
             flags: if cell.unreached { NOT_REACHED } else { 0 },
         },
     }

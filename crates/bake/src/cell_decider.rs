@@ -197,8 +197,8 @@ fn cell(
         set.visible.retain(near);
         decided.undecided.retain(near);
     }
+    set.undecided = decided.undecided;
     set.decision = Some(Decision {
-        undecided: decided.undecided,
         counts: statistics(&decided.statistics).numbers().to_vec(),
         certificate,
     });

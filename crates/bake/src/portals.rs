@@ -95,8 +95,8 @@ pub fn run(
             undecided.retain(near);
         }
         let counts = statistics(&decided.statistics).numbers().to_vec();
+        set.undecided = undecided;
         set.decision = Some(Decision {
-            undecided,
             counts,
             ..Decision::default()
         });

@@ -4,7 +4,7 @@
 
 use std::time::Instant;
 
-use sightline_model::{Method, Pack, PlannedJob, Sampling, TileOutput, Visibility, codec};
+use sightline_model::{CellSet, Method, Pack, PlannedJob, Sampling, TileOutput, Visibility, codec};
 use sightline_portals::{NoPartition, OpenFaces};
 use sightline_sample::crew::{Crew, Phase};
 use sightline_sample::lines::hits;
@@ -57,6 +57,7 @@ pub fn run(
         lattice: scope.traced_lattice(scene.scene()).map_err(tile_error)?,
         sampler: (&sampling.sampler).into(),
         items: task.items(),
+        completes: task.is_completed(),
         far: task.far.map(|far| far.get()),
         viewpoints: scope.mask.as_deref(),
         region: job_region.as_ref().map(|region| region as _),
@@ -141,6 +142,9 @@ pub fn run(
     if let (true, TileOutput::Cells(sets)) = (sampling.contributions, &mut output) {
         let (boxes, _) = groups::cells_and_groups(&tile.cell, &sets.nodes);
         samples += hits::count(&context, &boxes, &mut sets.cells, watcher)?;
+        if task.is_completed() {
+            sets.cells.iter_mut().for_each(remove_met);
+        }
     }
     let bytes = codec::encode(&output).map_err(tile_error)?;
     tracing::debug!(tile = number.0, bytes = bytes.len(), "tile encoded");
@@ -149,6 +153,17 @@ pub fn run(
         samples,
         recomputed,
     })
+}
+
+/// Removes the items that a contribution line met from the undecided items of a cell.
+fn remove_met(cell: &mut CellSet) {
+    if let Some(hits) = &cell.hits {
+        let is_met = |item: &u32| {
+            let at = cell.visible.binary_search(item);
+            at.is_ok_and(|at| hits.counts[at][0] > 0)
+        };
+        cell.undecided.retain(|item| !is_met(item));
+    }
 }
 
 /// Computes a lost pack again and checks its digest.

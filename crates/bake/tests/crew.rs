@@ -329,15 +329,26 @@ fn helpers_of_all_kinds_do_not_change_bytes() {
 #[test]
 fn crew_can_share_every_kind_of_lines() {
     type Make = fn(KnownCells) -> Visibility;
-    let makers: [(&str, Make); 6] = [
+    let makers: [(&str, Make); 7] = [
         ("bound", |cells| {
             lines(cells, 2e-3, Stop::Bound(MaxError::new(5e-3).unwrap()))
+        }),
+        ("bound with completion", |cells| {
+            let mut task = lines(cells, 2e-3, Stop::Bound(MaxError::new(5e-3).unwrap()));
+            if let Method::Aggressive { completion, .. } = &mut task.method {
+                *completion = Completion::Auto;
+            }
+            task
         }),
         ("pairs", with_pairs),
         ("clusters", |cells| {
             let sampling = plain(cells).sampling().unwrap().clone();
-            let items = Granularity::Clusters;
-            Method::Aggressive { sampling, items }.into()
+            Method::Aggressive {
+                sampling,
+                items: Granularity::Clusters,
+                completion: Completion::Auto,
+            }
+            .into()
         }),
         ("shares", |cells| {
             lines(cells, 2e-3, Stop::Share(MinShare::new(1e-3).unwrap()))

@@ -88,7 +88,7 @@ fn sets_contain_exact_sets_and_list_triangles_without_witness() {
     let mut sums = [0; 3];
     for (found, exact) in cells(&found, &scene).iter().zip(&exact) {
         assert!(is_part(&exact.visible, &found.visible));
-        let undecided = &found.decision.as_ref().unwrap().undecided;
+        let undecided = &found.undecided;
         assert!(is_part(undecided, &found.visible));
         let witnessed: Vec<u32> = found
             .visible
@@ -131,7 +131,7 @@ fn all_triangles_may_be_visible_if_time_is_over() {
             cell.visible.len() as u64 + count_of("exact_hidden"),
             u64::from(scene.len())
         );
-        assert!(!decision.undecided.is_empty() && count_of("undecided_stopped") > 0);
+        assert!(!cell.undecided.is_empty() && count_of("undecided_stopped") > 0);
     }
 }
 

@@ -127,7 +127,7 @@ fn sets_of_region_contain_triangles_seen_from_room() {
         |a: &CellSet, b: &CellSet| a.visible.iter().all(|t| b.visible.binary_search(t).is_ok());
     for ((sampled, exact), whole) in sampled.iter().zip(&exact).zip(&whole) {
         assert!(is_part(sampled, exact) && is_part(exact, whole));
-        assert_eq!(exact.decision.as_ref().map(|d| d.undecided.len()), Some(0));
+        assert!(exact.decision.is_some() && exact.undecided.is_empty());
     }
     let sum = |sets: &[CellSet]| sets.iter().map(|s| s.visible.len()).sum::<usize>();
     assert!(

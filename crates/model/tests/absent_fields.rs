@@ -67,6 +67,7 @@ fn aggressive(sampler: v1::sampling::Sampler) -> v1::JobSpec {
     job(v1::visibility::Method::Aggressive(v1::Aggressive {
         sampling: Some(sampling(sampler)),
         items: None,
+        completion: None,
     }))
 }
 
@@ -164,6 +165,7 @@ const ROWS: &[Row] = &[
     // 0 is the name of an unknown axis, as in all enums of proto3 without a default.
     row("visibility.up", 1.0, None, None, lines),
     row("visibility.aggressive.items", 0.0, None, Some(0.0), lines),
+    row("visibility.aggressive.completion", 0.0, None, Some(0.0), lines),
     row("visibility.exact.effort", 0.0, None, Some(0.0), exact),
     row("visibility.exact.certificates", 0.0, None, Some(0.0), exact),
     row("visibility.exact.sampling.lines.grid.tile_cells", 1.0, Some(0.0), Some(8.0), exact),

@@ -12,8 +12,9 @@
 //! has the number of times that the host waited for the device, and the seconds of waiting.
 //!
 //! `--adapter NAME` selects another adapter; `--no-cpu` and `--no-gpu` skip one of the two, and `--embree`
-//! adds Embree. `--profile` adds the time of each kernel, which lengthens the rounds. `--pace` sets the four
-//! numbers of [`LinePacing`].
+//! adds Embree. `--complete` completes the sets with likely triangles: these are not missed, and the column
+//! after the error has their number as a fraction of the seen triangles. `--profile` adds the time of each
+//! kernel, which lengthens the rounds. `--pace` sets the four numbers of [`LinePacing`].
 
 #![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 
@@ -43,8 +44,8 @@ const HELD: usize = 2000;
 /// The name of the stream of random numbers for held-out lines.
 const STREAM: u64 = 77;
 
-const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--embree] [--profile] \
-                     [--pace FIRST,COARSE,GROWTH,AIMED] SCENE NXxNYxNZ TARGET...";
+const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--embree] [--complete] \
+                     [--profile] [--pace FIRST,COARSE,GROWTH,AIMED] SCENE NXxNYxNZ TARGET...";
 
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
 
@@ -66,6 +67,7 @@ fn main() -> Answer<()> {
     let mut choice = AdapterChoice::AllowSoftware;
     let (mut with_cpu, mut with_gpu, mut with_embree) = (true, true, false);
     let (mut profile, mut pace, mut rest) = (false, None, Vec::new());
+    let mut completes = false;
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
@@ -75,6 +77,7 @@ fn main() -> Answer<()> {
             "--no-cpu" => with_cpu = false,
             "--no-gpu" => with_gpu = false,
             "--embree" => with_embree = true,
+            "--complete" => completes = true,
             "--profile" => profile = true,
             "--pace" => {
                 pace = Some(paced(
@@ -109,9 +112,9 @@ fn main() -> Answer<()> {
     );
     println!(
         "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | \
-         bytes per ray up, down | waits |"
+         likely | bytes per ray up, down | waits |"
     );
-    println!("|---|--:|--:|--:|--:|---|--:|--:|--:|");
+    println!("|---|--:|--:|--:|--:|---|--:|--:|---|--:|");
     let mut backends: Vec<Box<dyn Tracer>> = Vec::new();
     if with_cpu {
         backends.push(Box::new(CpuBackend::new(Arc::clone(&scene), spec)?));
@@ -133,7 +136,7 @@ fn main() -> Answer<()> {
         let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all)?);
         let built = start.elapsed().as_secs_f64();
         // The first run is not timed, because a device compiles and allocates at its first use.
-        sample(&scene, &surface, &sight, [2; 3], 0.1, None)?;
+        sample(&scene, &surface, &sight, [2; 3], 0.1, None, false)?;
         println!(
             "| {} | | {built:.3} hierarchy, {:.3} to be ready | | | | | | |",
             backend.profile(),
@@ -148,6 +151,7 @@ fn main() -> Answer<()> {
                 cells,
                 target.parse()?,
                 pace,
+                completes,
             )?;
         }
     }
@@ -162,7 +166,8 @@ fn sample(
     cells: [u32; 3],
     target: f64,
     pace: Option<LinePacing>,
-) -> Answer<(f64, [u64; 4], f64, String)> {
+    completes: bool,
+) -> Answer<(f64, [u64; 4], [f64; 2], String)> {
     let rows = Rows::triangles(scene);
     let bounds = scene.bounds();
     let [nx, ny, _] = cells.map(u64::from);
@@ -191,7 +196,11 @@ fn sample(
         block.ask_for_device()?;
         block.set_pace(pace);
     }
+    if completes {
+        block.set_completion(&[]);
+    }
     block.sample(target, &[], Tolerance::Raised)?;
+    block.complete_all();
     let seconds = start.elapsed().as_secs_f64();
     let mut rays = [0; 4];
     block.stats().iter().for_each(|s| {
@@ -230,28 +239,34 @@ fn line(
     cells: [u32; 3],
     target: f64,
     pace: Option<LinePacing>,
+    completes: bool,
 ) -> Answer<()> {
-    let (seconds, rays, error, bus) = sample(scene, surface, sight, cells, target, pace)?;
+    let (seconds, rays, [error, growth], bus) =
+        sample(scene, surface, sight, cells, target, pace, completes)?;
     let kind = backend.profile().split('/').next().unwrap_or_default();
     let all = rays.iter().sum::<u64>() as f64 / 1e6;
     let [uniform, flood, aimed, _] = rays.map(|r| 100.0 * r as f64 / 1e6 / all);
     println!(
         "| {kind} | {target} | {seconds:.3} | {all:.1} | {:.0} | {uniform:.0} %, {flood:.0} %, \
-         {aimed:.0} % | {:.4} % | {bus}",
+         {aimed:.0} % | {:.4} % | {:.1} % | {bus}",
         all / seconds,
-        100.0 * error
+        100.0 * error,
+        100.0 * growth
     );
     Ok(())
 }
 
-/// Returns the fraction of held-out lines that meet a triangle that their cell lacks.
-fn error(block: &Block<'_>, scene: &Scene, sight: &SightLineTracer<'_>) -> Answer<f64> {
+/// Returns the fraction of held-out lines that meet a triangle that their cell lacks, and the number of
+/// likely triangles as a fraction of the seen triangles.
+fn error(block: &Block<'_>, scene: &Scene, sight: &SightLineTracer<'_>) -> Answer<[f64; 2]> {
+    let likely = block.likely_items();
     let grid = block.grid();
     let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();
     let misses: Result<Vec<u64>, sightline_trace::TracerError> = cells
         .par_chunks(16)
-        .map(|some| {
+        .zip(likely.par_chunks(16))
+        .map(|(some, likely)| {
             let (mut packets, mut passed) = (Vec::new(), Passed::default());
             for (number, at) in some.iter().enumerate() {
                 let (low, size) = grid.cell_box(*at);
@@ -276,11 +291,20 @@ fn error(block: &Block<'_>, scene: &Scene, sight: &SightLineTracer<'_>) -> Answe
             let mut misses = 0;
             for (owner, packet) in owners.iter().zip(&packets) {
                 let slot = grid.slot(some[*owner]);
-                let new = |t: &&u32| **t != SKY && !block.bits().seen(**t, slot);
+                let new = |t: &&u32| {
+                    **t != SKY
+                        && !block.bits().seen(**t, slot)
+                        && likely[*owner].binary_search_by_key(*t, |l| l.item).is_err()
+                };
                 misses += packet.triangle[..packet.count].iter().filter(new).count() as u64;
             }
             Ok(misses)
         })
         .collect();
-    Ok(misses?.iter().sum::<u64>() as f64 / (cells.len() * HELD) as f64)
+    let seen: u32 = block.bits().table().iter().map(|w| w.count_ones()).sum();
+    let added: usize = likely.iter().map(Vec::len).sum();
+    Ok([
+        misses?.iter().sum::<u64>() as f64 / (cells.len() * HELD) as f64,
+        added as f64 / f64::from(seen.max(1)),
+    ])
 }

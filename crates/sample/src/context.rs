@@ -71,6 +71,9 @@ pub struct JobContext<'a> {
     pub sampler: TileSampler,
     /// The items that the sets list.
     pub items: Granularity,
+    /// True if likely items that no sight line met complete the sets. Only the sampler lines, without a
+    /// minimum share, completes sets.
+    pub completes: bool,
     /// The distance from the viewpoint at which sight lines end, in the scene's units; `None` for unlimited
     /// sight.
     pub far: Option<f64>,

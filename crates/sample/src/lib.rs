@@ -10,8 +10,9 @@
 //! - `tile`, `context`: the entry point, and its inputs ([`JobContext`]).
 //! - `lines`: blocks of cells that share sight lines. `rounds` casts uniform lines, flood lines (`flood`) and
 //!   candidates (`candidates`) until every cell meets its tolerance. `bound` computes the bound of
-//!   `--max-error` from held-out lines, and `adaptive` joins small cells to a tree. `pairs` and `cell_joins`
-//!   find the pairs of cells that see each other. `guided` is the baseline of the benchmarks.
+//!   `--max-error` from held-out lines, `completion` adds likely items to the sets, and `adaptive` joins
+//!   small cells to a tree. `pairs` and `cell_joins` find the pairs of cells that see each other. `guided` is
+//!   the baseline of the benchmarks.
 //! - `cubes`: visibility cubes on adaptively split rectangles, with the error measures Err, Err′ and Err″.
 //! - `crew`: the members that share the phases of a block.
 //! - `auto`: the timing of tracers on a scene, for `--backend auto`.
@@ -25,8 +26,8 @@
 //!   each decision between phases uses the answers of all members. A lost outcome costs time and does not
 //!   change bytes (`docs/decisions/0009-crews.md`).
 //! - The pairs of cells are or-ed into tables over the whole division.
-//! - With the method `aggressive`, a triangle in a set was seen from a sample or meets the cell. A credited
-//!   segment was free up to the precision of the tracer; no exact check follows.
+//! - With the method `aggressive`, a triangle in a set was seen from a sample, meets the cell, or is
+//!   undecided. A credited segment was free up to the precision of the tracer; no exact check follows.
 //!
 //! # Limits
 //!

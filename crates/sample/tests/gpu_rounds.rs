@@ -397,6 +397,7 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Tracer, cells: [u32; 3]) -> (PairT
         lattice,
         sampler: TileSampler::Lines(LineSampler::Shared { error, stop }),
         items: Granularity::Triangles,
+        completes: false,
         far: None,
         viewpoints: None,
         region: None,

@@ -124,6 +124,7 @@ fn bake(
         lattice,
         sampler,
         items: Granularity::Triangles,
+        completes: false,
         far: None,
         viewpoints: None,
         region: None,

@@ -49,6 +49,7 @@ class JobOptions(KindOptions, total=False):
     block_cells: int
     rays: int
     granularity: str
+    complete: str
     min_share: float
     contributions: bool
     far: float
@@ -180,7 +181,7 @@ _CONVERT: Dict[str, Convert] = {
         _number,
     ),
     **dict.fromkeys(
-        ("method", "sampler", "granularity", "cell_to_cell", "up", "error_measure", "superset", "backend")
+        ("method", "sampler", "granularity", "complete", "cell_to_cell", "up", "error_measure", "superset", "backend")
         + ("name", "user", "request_id", "traces"),
         _word,
     ),

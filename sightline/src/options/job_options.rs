@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use sightline_model::{
-    CellToCell, ErrorMeasure, Granularity, MethodName, SamplerName, SupersetChoice,
+    CellToCell, Completion, ErrorMeasure, Granularity, MethodName, SamplerName, SupersetChoice,
 };
 
 #[cfg(feature = "clap")]
@@ -118,6 +118,12 @@ pub struct JobOptions {
     /// triangles.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Granularity>()))]
     pub granularity: Option<Granularity>,
+    /// Add likely triangles to the sets, as undecided. auto: the triangles on which missed sight lines most
+    /// likely end, at most one for 20 seen ones, so that a target error needs less time. off: a set contains
+    /// only triangles that a sight line met, or that meet the cell. Needs --method aggressive, --sampler
+    /// lines and no --min-share. Default: off.
+    #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Completion>()))]
+    pub complete: Option<Completion>,
     /// Search until the sampler finds each item that covers at least the share S of the sight lines from a
     /// cell, with a probability of at least 95 %: 0.001 for a thousandth of the view. Replaces
     /// --target-error. Two seeds then agree on all but smaller items.

@@ -1,7 +1,7 @@
 //! The names of the options, as the command line spells them.
 
 /// The names of all options, without dashes.
-const NAMES: [&str; 33] = [
+const NAMES: [&str; 34] = [
     "method",
     "certificates",
     "cells",
@@ -15,6 +15,7 @@ const NAMES: [&str; 33] = [
     "block-cells",
     "rays",
     "granularity",
+    "complete",
     "min-share",
     "contributions",
     "far",

@@ -229,6 +229,7 @@ impl JobOptions {
             MethodName::Aggressive => Method::Aggressive {
                 sampling: sampling()?,
                 items: self.granularity.unwrap_or_default(),
+                completion: self.complete.unwrap_or_default(),
             },
             MethodName::Exact => exact(Effort::Full)?,
             MethodName::Verified => exact(Effort::Bounded)?,

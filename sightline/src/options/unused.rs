@@ -1,6 +1,6 @@
 //! The check for options that a job does not use, which returns an error or the options for a note.
 
-use sightline_model::{Granularity, MethodName, SamplerName};
+use sightline_model::{Completion, Granularity, MethodName, SamplerName};
 
 use super::cells::Cells;
 use super::job_options::{CubeOptions, JobOptions};
@@ -18,6 +18,10 @@ const NEEDS: &[(&str, &str)] = &[
         "--granularity",
         "--method aggressive: exact queries decide triangles. `dump --items objects` lists the objects of an \
          exact result",
+    ),
+    (
+        "--complete",
+        "--method aggressive with --sampler lines, and no --min-share",
     ),
     ("--sampler", "a method that samples"),
     ("--contributions", "a method that samples"),
@@ -104,9 +108,12 @@ impl JobOptions {
         let places = &self.viewpoints;
         let coarse = self.granularity.unwrap_or_default() != Granularity::Triangles;
         let tracer = self.backend.unwrap_or_default() != TracerOption::default();
+        // No method adds triangles if the option is off.
+        let completes = self.complete == Some(Completion::Auto);
         let all = [
             ("--certificates", self.certificates),
             ("--granularity", coarse),
+            ("--complete", completes),
             ("--sampler", self.sampler.is_some()),
             ("--contributions", self.contributions),
             ("--backend", tracer),
@@ -161,7 +168,12 @@ impl JobOptions {
                 }
                 return given.finish();
             }
-            MethodName::Aggressive => given.take(&["--granularity"]),
+            MethodName::Aggressive => {
+                given.take(&["--granularity"]);
+                if self.sampler_name() == SamplerName::Lines && self.min_share.is_none() {
+                    given.take(&["--complete"]);
+                }
+            }
             MethodName::Exact | MethodName::Verified => given.take(&["--certificates"]),
         }
         given.take(&["--sampler", "--contributions"]);

@@ -10,7 +10,7 @@ use sightline_viewcells::KdTree;
 
 use super::cells::{Adaptive, BoxCells, Cells, CubeCells, CubeGrid, GridCells, KnownCells};
 use super::fit::SceneFacts;
-use super::names::{Effort, Granularity};
+use super::names::{Completion, Effort, Granularity};
 use super::numbers::{
     Length, MaxError, MinShare, TargetError, TileCells, TimeBudget, TriangleBudget,
 };
@@ -104,12 +104,15 @@ impl Visibility {
 
     fn to_message(&self) -> v1::Visibility {
         let method = match &self.method {
-            Method::Aggressive { sampling, items } => {
-                v1::visibility::Method::Aggressive(v1::Aggressive {
-                    sampling: Some(sampling.to_message()),
-                    items: written(*items),
-                })
-            }
+            Method::Aggressive {
+                sampling,
+                items,
+                completion,
+            } => v1::visibility::Method::Aggressive(v1::Aggressive {
+                sampling: Some(sampling.to_message()),
+                items: written(*items),
+                completion: written(*completion),
+            }),
             Method::Exact {
                 sampling,
                 effort,
@@ -141,6 +144,7 @@ fn aggressive(m: &v1::Aggressive, scene: &SceneFacts) -> Result<Method, SpecErro
     Ok(Method::Aggressive {
         sampling: Sampling::from_message(&m.sampling.clone().unwrap_or_default(), scene, None)?,
         items: field::<Granularity>(m.items)?,
+        completion: field::<Completion>(m.completion)?,
     })
 }
 

@@ -220,6 +220,17 @@ named_values! {
 }
 
 named_values! {
+    /// The completion of sampled sets with likely items that no sight line met.
+    Completion("complete") {
+        /// Only items that a sight line met, or that meet the cell.
+        Off = "off",
+        /// With the sampler lines, likely items as undecided, at most one for 20 seen ones.
+        Auto = "auto",
+    }
+    default Off
+}
+
+named_values! {
     /// The limits of a single exact query.
     Effort("effort") {
         /// Limits that suffice for nearly every triangle.
@@ -258,6 +269,7 @@ on_the_wire!(SupersetChoice as Superset: Auto, On, Off);
 on_the_wire!(ErrorMeasure as ErrorMeasure: Strata, Sets, Pixels, Uniform);
 on_the_wire!(Granularity as Granularity: Triangles, Clusters, Objects);
 on_the_wire!(CellToCell as CellToCell: Auto, On, Off);
+on_the_wire!(Completion as Completion: Off, Auto);
 on_the_wire!(Effort as Effort: Full, Bounded);
 on_the_wire!(Up as Up: Y, Z);
 
@@ -294,6 +306,7 @@ mod tests {
         every_number_leads_back::<ErrorMeasure>();
         every_number_leads_back::<Granularity>();
         every_number_leads_back::<CellToCell>();
+        every_number_leads_back::<Completion>();
         every_number_leads_back::<Effort>();
         every_number_leads_back::<Up>();
     }

@@ -104,9 +104,13 @@ fn tasks() -> Vec<Visibility> {
         change(&mut sampling);
         Visibility::from(Method::aggressive(sampling))
     };
-    let items = |items| {
+    let aggressive = |items, completion| {
         let sampling = Sampling::new(Sampler::lines(known()));
-        Visibility::from(Method::Aggressive { sampling, items })
+        Visibility::from(Method::Aggressive {
+            sampling,
+            items,
+            completion,
+        })
     };
     let change = |change: &dyn Fn(&mut Visibility)| {
         let mut task = plain();
@@ -159,8 +163,9 @@ fn tasks() -> Vec<Visibility> {
         with_sampler(Sampler::cubes(CubeCells::Adaptive(tree(5, 20)))),
         sampling(&|s| s.tracer = TracerChoice::Gpu),
         sampling(&|s| s.contributions = true),
-        items(Granularity::Clusters),
-        items(Granularity::Objects),
+        aggressive(Granularity::Clusters, Completion::Off),
+        aggressive(Granularity::Objects, Completion::Off),
+        aggressive(Granularity::Triangles, Completion::Auto),
         change(&|task| task.far = Some(Length::new(9.0).unwrap())),
         change(&|task| task.pairs = CellToCell::Off),
         change(&|task| task.seed = 4),
@@ -316,6 +321,7 @@ fn error_names_wrong_value() {
         let aggressive = v1::Aggressive {
             sampling: Some(sampling),
             items: None,
+            completion: None,
         };
         let task = v1::Visibility {
             method: Some(v1::visibility::Method::Aggressive(aggressive)),

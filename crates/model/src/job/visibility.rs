@@ -4,7 +4,7 @@ use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, Lattice, Plan, USUAL_BLOCK_CELLS};
 
 use super::cells::{AnyCells, Cells, KnownCells, MOST_LINE_DEPTH, Viewpoints, marks};
-use super::names::{CellToCell, Effort, Granularity, MethodName, Up};
+use super::names::{CellToCell, Completion, Effort, Granularity, MethodName, Up};
 use super::numbers::{Length, TimeBudget};
 use super::sampler::{Sampler, Sampling};
 
@@ -31,12 +31,15 @@ pub struct Visibility {
 /// The method by which visibility is decided.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Method {
-    /// Sampling without queries. A triangle in the set was seen; a triangle outside the set may be visible.
+    /// Sampling without queries. A triangle in the set was seen or, with completion, is undecided. A triangle
+    /// outside the set may be visible.
     Aggressive {
         /// The sampling of the cells.
         sampling: Sampling,
         /// The items that the sets list.
         items: Granularity,
+        /// The completion of the sets. Only the sampler lines completes sets.
+        completion: Completion,
     },
     /// Sampling, then exact queries for every triangle that sampling did not show.
     Exact {
@@ -63,6 +66,7 @@ impl Method {
         Self::Aggressive {
             sampling,
             items: Granularity::Triangles,
+            completion: Completion::default(),
         }
     }
 
@@ -168,6 +172,24 @@ impl Visibility {
         match self.method {
             Method::Aggressive { items, .. } => items,
             Method::Exact { .. } | Method::Portals { .. } => Granularity::Triangles,
+        }
+    }
+
+    /// Returns true if sets also contain likely items that no sight line met, as undecided items.
+    pub fn is_completed(&self) -> bool {
+        match &self.method {
+            Method::Aggressive {
+                sampling,
+                completion,
+                ..
+            } => {
+                let is_lines = matches!(sampling.sampler, Sampler::Lines { .. });
+                // Items above the minimum share are found, and two seeds agree on them. Likely items depend
+                // on the seed.
+                let has_share = sampling.sampler.min_share().is_some();
+                *completion == Completion::Auto && is_lines && !has_share
+            }
+            Method::Exact { .. } | Method::Portals { .. } => false,
         }
     }
 

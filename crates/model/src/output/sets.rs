@@ -53,6 +53,8 @@ pub struct CellSet {
     /// The items seen from the cell, meeting the cell, or undecided, in ascending order. Items are triangles,
     /// unless the job has another granularity.
     pub visible: Vec<u32>,
+    /// The items of `visible` that were neither seen nor proved hidden, in ascending order.
+    pub undecided: Vec<u32>,
     /// The number of visibility cubes on the cell's surface.
     pub samples: u32,
     /// The statistics of the sampling with sight lines.
@@ -99,8 +101,6 @@ impl CellSet {
 /// The part of a cell's result that exact queries determine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Decision {
-    /// The triangles of the set that were neither seen nor proved hidden, in ascending order.
-    pub undecided: Vec<u32>,
     /// The values of [`crate::statistics::DecisionStats`], at most [`Decision::MOST_COUNTS`] values.
     pub counts: Vec<u64>,
     /// The cell's certificate in bytes; empty if the job stores no certificates.

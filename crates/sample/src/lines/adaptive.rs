@@ -17,6 +17,7 @@ use sightline_trace::lines::grid::CellGrid;
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
+use super::completion::{LikelyItem, SEEN_PER_LIKELY, completed_set, joined};
 use super::rounds::Tolerance;
 use super::tile_sampling::{TileSampling, columns, share};
 use crate::context::{JobContext, TileError};
@@ -46,13 +47,19 @@ pub fn run(
     let mut block = sampling.block(&tile.cell, sides, number, |_| u64::MAX);
     // The number of finished cells is unknown until the tree is built.
     block.caller_reports_cells = true;
+    if job.completes {
+        block.set_completion(sampling.scene.duplicates);
+    }
     block.sample(error, &[], Tolerance::Raised)?;
+    block.complete_all();
+    let likely = block.likely_items();
     share(sampling, &mut block);
     let mut sampled = Sampled {
         grid: block.grid().clone(),
         cell: tile.cell,
         levels,
         columns: columns(&block),
+        likely,
         stats: block.stats().to_vec(),
     };
     let rays = sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
@@ -76,6 +83,8 @@ struct Subtree {
     cells: Vec<CellSet>,
     /// The ids of the triangles seen from this part, in ascending order.
     seen: Vec<u32>,
+    /// The likely triangles of the smaller cells, by ascending id. The part may have seen some of them.
+    likely: Vec<LikelyItem>,
     stats: CellStats,
 }
 
@@ -86,6 +95,8 @@ struct Sampled {
     cell: CellBox,
     levels: u32,
     columns: Vec<Vec<u32>>,
+    /// The likely triangles of each cell.
+    likely: Vec<Vec<LikelyItem>>,
     stats: Vec<CellStats>,
 }
 
@@ -130,16 +141,17 @@ impl Sampled {
             .split(&job.lattice, cell, depth)
             .filter(|_| level < self.levels);
         let Some(split) = split else {
-            let (seen, stats) = self.take(cell);
-            return Subtree::leaf(seen, stats);
+            let (seen, likely, stats) = self.take(cell);
+            return Subtree::leaf(seen, likely, stats);
         };
         let [below, above] = cell
             .children(split)
             .map(|c| self.part(job, &c, depth + 1, level + 1));
         let seen = union(&below.seen, &above.seen);
+        let likely = joined(&below.likely, &above.likely);
         let stats = below.stats.joined(&above.stats);
         if !job.division.wants_split(seen.len(), depth) {
-            return Subtree::leaf(seen, stats);
+            return Subtree::leaf(seen, likely, stats);
         }
         let mut nodes = vec![SubtreeNode::Split(split)];
         nodes.extend(below.nodes.into_iter().chain(above.nodes));
@@ -149,28 +161,34 @@ impl Sampled {
             nodes,
             cells,
             seen,
+            likely,
             stats,
         }
     }
 
-    /// Removes and returns the set of a small cell, and returns the cell's statistics.
-    fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
+    /// Removes and returns the seen and the likely triangles of a small cell, and returns the cell's
+    /// statistics.
+    fn take(&mut self, cell: &CellBox) -> (Vec<u32>, Vec<LikelyItem>, CellStats) {
         let sides = self.grid.cells();
         let at = [0, 1, 2].map(|a| {
             (cell.lo[a] - self.cell.lo[a]) / ((self.cell.hi[a] - self.cell.lo[a]) / sides[a])
         });
-        let stats = self.stats[((at[2] * sides[1] + at[1]) * sides[0] + at[0]) as usize];
+        let place = ((at[2] * sides[1] + at[1]) * sides[0] + at[0]) as usize;
         (
             std::mem::take(&mut self.columns[self.grid.slot(at).index()]),
-            stats,
+            std::mem::take(&mut self.likely[place]),
+            self.stats[place],
         )
     }
 }
 
 impl Subtree {
-    fn leaf(seen: Vec<u32>, stats: CellStats) -> Self {
+    fn leaf(seen: Vec<u32>, likely: Vec<LikelyItem>, stats: CellStats) -> Self {
+        let most = seen.len() / SEEN_PER_LIKELY;
+        let (visible, undecided) = completed_set(seen.clone(), likely.clone(), most);
         let cell = CellSet {
-            visible: seen.clone(),
+            visible,
+            undecided,
             stats,
             ..CellSet::default()
         };
@@ -178,6 +196,7 @@ impl Subtree {
             nodes: vec![SubtreeNode::Cell],
             cells: vec![cell],
             seen,
+            likely,
             stats,
         }
     }

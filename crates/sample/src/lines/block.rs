@@ -19,6 +19,7 @@ use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::surface::Surface;
 
 use super::cell_table::{Cell, CellTable};
+use super::completion::Completion;
 use super::observer::LineObserver;
 use super::on_device_state::OnDevice;
 use super::pacing::LinePacing;
@@ -99,6 +100,8 @@ impl Scratch {
 pub struct Block<'a> {
     pub(super) inputs: BlockInputs<'a>,
     pub(super) table: CellTable<'a>,
+    /// The completion of the sets with likely items; `None` if the sets contain only seen items.
+    pub(super) completion: Option<Completion<'a>>,
     /// A copy of the pairs from before the held-out lines of the current look.
     pub(super) held: Vec<u64>,
     /// True if the block is the whole division.
@@ -148,6 +151,7 @@ impl<'a> Block<'a> {
         Self {
             table: CellTable::new(inputs.rows, grid, number, parts),
             inputs,
+            completion: None,
             held: Vec::new(),
             is_whole,
             in_halves,

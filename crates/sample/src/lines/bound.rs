@@ -6,6 +6,9 @@
 //! confidence 1 − α (Clopper and Pearson 1934). The bound holds for the average over the cell, not for the
 //! worst viewpoint.
 //!
+//! With completion ([`super::completion`]), a line that meets a likely item is not a miss. The likely items
+//! of a cell are determined before its look.
+//!
 //! A cell that exceeds the bound is sampled further and has another look with new lines. Look k has the error
 //! probability α·2⁻ᵏ, so over any number of looks the probability of a wrong bound stays below α. A look adds
 //! the triangles that it finds to the set, which only lowers the error.
@@ -61,10 +64,22 @@ impl Block<'_> {
     /// The errors of [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
         let mut aim = first_aim(target, most);
+        let target = self.error_before_completion(target);
         let mut open: Vec<usize> = self.table.active();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
+            let earlier = self.likely_items();
+            self.complete(&open);
             self.look_at(&open, look, lines)?;
+            // A bound holds with the likely items that the cell had before the look. At the deadline, a look
+            // can end early, and the bound of the cell's earlier look remains.
+            if let Some(completion) = &mut self.completion {
+                for (cell, earlier) in earlier.into_iter().enumerate() {
+                    if open.contains(&cell) && self.table.stats[cell].bound_look != look {
+                        completion.likely[cell] = earlier;
+                    }
+                }
+            }
             let before = open.len();
             open.retain(|c| !self.is_bounded(*c, most));
             self.tell_done(before - open.len());
@@ -233,11 +248,11 @@ impl Block<'_> {
             }
             let end = (packet.triangle[lane], packet.distance[lane]);
             let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
-            let mut new = shown
-                .filter(|(t, _)| *t != SKY && !block.shown(*t, c.slot))
-                .peekable();
-            if new.peek().is_some() {
-                misses += 1;
+            let new = shown.filter(|(t, _)| *t != SKY && !block.shown(*t, c.slot));
+            let new: Vec<(u32, f32)> = new.collect();
+            if !new.is_empty() {
+                // Likely items are drawn. The lines that meet them are their witnesses.
+                misses += u64::from(new.iter().any(|(t, _)| !block.is_likely(cell, *t)));
                 let (origin, direction) = packet.ray(lane);
                 for (triangle, at) in new {
                     // A triangle with one side is not seen from beyond it.

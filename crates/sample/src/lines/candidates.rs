@@ -42,9 +42,9 @@ const AIM: u64 = 3;
 /// A triangle to aim at.
 #[derive(Clone, Copy)]
 pub(super) struct Candidate {
-    triangle: u32,
+    pub(super) triangle: u32,
     /// The fraction of the sphere around the cell's centre that the triangle would cover.
-    part: f32,
+    pub(super) part: f32,
 }
 
 /// The lines that a cell aims in a round.
@@ -386,25 +386,33 @@ impl Block<'_> {
     /// Returns the record of an attempt for an observer.
     fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Attempt {
         let Candidate { triangle, part } = *candidate;
-        let view_cell = &self.table.cells[cell];
-        let faces = (0..6).filter(|face| {
-            self.beyond(view_cell.at, *face)
-                .is_some_and(|s| self.table.seen(triangle, s))
-        });
-        let neighbours = self.inputs.surface.neighbours[triangle as usize];
-        let beside = neighbours
-            .iter()
-            .filter(|t| **t != SKY && self.table.seen(**t, view_cell.slot));
-        let (faces, beside) = (faces.count() as u32, beside.count() as u32);
         Attempt {
             cell,
             triangle: TriangleId(triangle),
             part,
             time,
-            faces,
-            beside,
+            faces: self.faces_that_show(cell, triangle),
+            beside: self.seen_neighbours(cell, triangle),
             found,
         }
+    }
+
+    /// Returns the number of faces of a cell beyond which a cell sees the triangle.
+    pub(super) fn faces_that_show(&self, cell: usize, triangle: u32) -> u32 {
+        let at = self.table.cells[cell].at;
+        let faces = (0..6).filter(|face| {
+            let beyond = self.beyond(at, *face);
+            beyond.is_some_and(|slot| self.table.seen(triangle, slot))
+        });
+        faces.count() as u32
+    }
+
+    /// Returns the number of neighbours of the triangle that a cell sees.
+    pub(super) fn seen_neighbours(&self, cell: usize, triangle: u32) -> u32 {
+        let slot = self.table.cells[cell].slot;
+        let neighbours = self.inputs.surface.neighbours[triangle as usize].iter();
+        let seen = neighbours.filter(|t| **t != SKY && self.table.seen(**t, slot));
+        seen.count() as u32
     }
 
     /// Returns the cell beyond a face: along axis `face / 2`, in positive direction if `face` is even.

@@ -1,6 +1,7 @@
 //! The table of a block: its cells, and the rows (triangles or items) that were credited to each cell.
 
 use glam::Vec3;
+use rayon::prelude::*;
 use sightline_model::CellStats;
 use sightline_numbers::Aabb;
 use sightline_trace::lines::bits::SeenBits;
@@ -184,6 +185,22 @@ impl<'a> CellTable<'a> {
         (0..self.cells.len())
             .filter(|c| self.is_reached(*c))
             .collect()
+    }
+
+    /// Returns the number of pairs of one of `cells` and an item that it saw by the last barrier.
+    pub(super) fn seen_items(&self, cells: &[usize]) -> u64 {
+        let mut wanted = vec![0u64; self.bits.words()];
+        for cell in cells {
+            let slot = self.cells[*cell].slot;
+            wanted[slot.word as usize] |= 1 << slot.bit;
+        }
+        let table = self.items.table().unwrap_or(self.bits.table());
+        let rows = table.par_chunks(wanted.len()).with_min_len(1024);
+        let count = |row: &[u64]| {
+            let seen = row.iter().zip(&wanted).map(|(r, w)| (r & w).count_ones());
+            u64::from(seen.sum::<u32>())
+        };
+        rows.map(count).sum()
     }
 
     /// Returns the index of a triangle's row in the table.

@@ -24,6 +24,11 @@ impl SeenItems {
         }
     }
 
+    /// Returns the bits of all items, or `None` if a row of the table is an item.
+    pub(super) fn table(&self) -> Option<&[u64]> {
+        Some(self.bits.as_slice()).filter(|bits| !bits.is_empty())
+    }
+
     /// Returns the cells that see an item, as bits.
     pub(super) fn row(&self, item: u32) -> &[u64] {
         &self.bits[item as usize * self.words..][..self.words]

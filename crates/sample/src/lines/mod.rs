@@ -18,6 +18,7 @@ mod candidates;
 pub mod cell_joins;
 mod cell_pieces;
 mod cell_table;
+pub mod completion;
 mod finds;
 mod flood;
 mod guided;

@@ -84,7 +84,10 @@ impl Block<'_> {
         let enough = self.enough;
         // A device counts the misses of triangles.
         let by_items = self.inputs.rows.are_finer() && !self.is_on_device();
-        let target = if by_items { target * OF_ITEMS } else { target };
+        let target = match by_items {
+            true => target * OF_ITEMS,
+            false => self.error_before_completion(target),
+        };
         self.flood_steps = steps_from_candidates(target);
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
@@ -126,10 +129,7 @@ impl Block<'_> {
                 });
                 self.count_done(before - open.len());
             }
-            let least: Vec<f64> = open
-                .iter()
-                .map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12))
-                .collect();
+            let least = self.least_parts(&open);
             self.plan_tries(&open);
             if self.is_on_device() {
                 self.aim_on_device(&open, &least)?;
@@ -190,6 +190,12 @@ impl Block<'_> {
         let s = &self.table.stats[cell];
         // One miss is added to the count, because no miss in a few rays is weak evidence.
         part * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64
+    }
+
+    /// Returns for each of `cells` the minimum fraction of the sphere that a candidate has to cover.
+    pub(super) fn least_parts(&self, cells: &[usize]) -> Vec<f64> {
+        let least = |c: &usize| (self.missing(*c) * CANDIDATE_PART).max(1e-12);
+        cells.iter().map(least).collect()
     }
 
     /// Estimates the missed fraction at the beginning of the cell's last round, from that round.

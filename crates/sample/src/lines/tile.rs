@@ -8,6 +8,7 @@ use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
+use super::completion::{LikelyItem, completed_set};
 use super::pairs::of_tile;
 use super::rounds::Tolerance;
 use super::tile_sampling::{TileSampling, columns, share};
@@ -70,6 +71,9 @@ pub fn run(
             .map_or(u64::MAX, |marks| marks.parts(number(c) as usize))
     };
     let mut block = sampling.block(&tile.cell, span(&tile.cell), number, parts);
+    if job.completes {
+        block.set_completion(scene.duplicates);
+    }
     tracing::debug!(
         "found the triangles that intersect each cell after {:?}",
         start.elapsed()
@@ -100,9 +104,22 @@ pub fn run(
     };
     job.crew.end()?;
     tracing::debug!("sampled after {:?}", start.elapsed());
+    block.publish();
+    // The bounds hold with the likely items of the last looks.
+    let is_bounded = matches!(
+        sampler,
+        LineSampler::Shared {
+            stop: Stop::Bound(_),
+            ..
+        }
+    );
+    if !is_bounded {
+        block.complete_all();
+    }
+    let likely = block.likely_items();
     share(&sampling, &mut block);
     let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
-    let mut sets = sets(job, tile, &block);
+    let mut sets = sets(job, tile, &block, likely);
     sets.pairs = of_tile(job, pairs.as_ref());
     let rays = rays + joined;
     tracing::debug!("sets after {:?}", start.elapsed());
@@ -114,8 +131,13 @@ fn span(cell: &CellBox) -> [u32; 3] {
     [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
 }
 
-/// Returns the sets in the order of the tile's subtree.
-fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
+/// Returns the sets in the order of the tile's subtree. `likely` contains the likely items of each cell.
+fn sets(
+    job: &JobContext<'_>,
+    tile: &Tile,
+    block: &Block<'_>,
+    mut likely: Vec<Vec<LikelyItem>>,
+) -> CellSets {
     let grid = block.grid();
     let mut columns = columns(block);
     let mut out = CellSets::default();
@@ -132,8 +154,12 @@ fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
                 let [nx, ny, _] = grid.cells();
                 let place = ((at[2] * ny + at[1]) * nx + at[0]) as usize;
                 out.nodes.push(SubtreeNode::Cell);
+                let seen = std::mem::take(&mut columns[grid.slot(at).index()]);
+                let likely = std::mem::take(&mut likely[place]);
+                let (visible, undecided) = completed_set(seen, likely, usize::MAX);
                 out.cells.push(CellSet {
-                    visible: std::mem::take(&mut columns[grid.slot(at).index()]),
+                    visible,
+                    undecided,
                     stats: block.stats()[place],
                     unreached: !block.is_reached(place),
                     ..CellSet::default()

@@ -199,7 +199,9 @@ impl Reader<'_> {
             ..CellSets::default()
         };
         for _ in 0..cells {
-            let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
+            let visible = self.ids()?;
+            let undecided = self.part_of(&visible)?;
+            let (samples, stats) = (self.u32()?, self.stats()?);
             let unreached = match self.byte()? {
                 0 => false,
                 1 if visible.is_empty() => true,
@@ -210,9 +212,10 @@ impl Reader<'_> {
                 }
             };
             let hits = self.hits(visible.len())?;
-            let decision = self.decision(&visible)?;
+            let decision = self.decision()?;
             sets.cells.push(CellSet {
                 visible,
+                undecided,
                 samples,
                 stats,
                 decision,
@@ -304,7 +307,17 @@ impl Reader<'_> {
         Ok(table)
     }
 
-    fn decision(&mut self, visible: &[u32]) -> Result<Option<Decision>, CodecError> {
+    /// Reads ids, all of which have to be in the set `visible`.
+    fn part_of(&mut self, visible: &[u32]) -> Result<Vec<u32>, CodecError> {
+        let part = self.ids()?;
+        let mut rest = visible.iter();
+        match part.iter().all(|id| rest.any(|v| v == id)) {
+            true => Ok(part),
+            false => Err(CodecError("an undecided item is not in the cell's set")),
+        }
+    }
+
+    fn decision(&mut self) -> Result<Option<Decision>, CodecError> {
         match self.byte()? {
             0 => return Ok(None),
             1 => {}
@@ -314,11 +327,6 @@ impl Reader<'_> {
                 ));
             }
         }
-        let undecided = self.ids()?;
-        let mut rest = visible.iter();
-        if !undecided.iter().all(|id| rest.any(|v| v == id)) {
-            return Err(CodecError("an undecided triangle is not in the cell's set"));
-        }
         let n = self.count(1)?;
         if n > Decision::MOST_COUNTS {
             return Err(CodecError("a cell's decision has more than 64 counts"));
@@ -326,7 +334,6 @@ impl Reader<'_> {
         let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
         let certificate = self.counted()?;
         Ok(Some(Decision {
-            undecided,
             counts,
             certificate,
         }))

@@ -76,12 +76,12 @@ fn outputs() -> impl Strategy<Value = TileOutput> {
                             unfinished: true,
                             ..CellStats::default()
                         },
-                        decision: None,
+                        ..CellSet::default()
                     },
                     CellSet {
                         samples: 7,
+                        undecided: b.iter().copied().step_by(2).collect(),
                         decision: Some(Decision {
-                            undecided: b.iter().copied().step_by(2).collect(),
                             counts: vec![u64::from(at), u64::MAX],
                             certificate: samples.to_le_bytes().to_vec(),
                         }),
@@ -248,15 +248,11 @@ fn decoder_rejects_ids_beyond_scene() {
 }
 
 #[test]
-fn undecided_triangles_must_be_in_set() {
+fn undecided_items_must_be_in_set() {
     let sets = |undecided: &[u32]| {
-        let decision = Some(Decision {
-            undecided: undecided.to_vec(),
-            ..Decision::default()
-        });
         let cell = CellSet {
             visible: vec![2, 5],
-            decision,
+            undecided: undecided.to_vec(),
             ..CellSet::default()
         };
         encode(&TileOutput::Cells(CellSets {

@@ -109,6 +109,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
 
 pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
     put_ids(raw, &cell.visible);
+    put_ids(raw, &cell.undecided);
     put(raw, cell.samples);
     cell.stats
         .numbers()
@@ -129,7 +130,6 @@ pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io:
         return Ok(());
     };
     raw.push(1);
-    put_ids(raw, &decision.undecided);
     put(raw, decision.counts.len() as u32);
     decision.counts.iter().for_each(|n| varint::write(raw, *n));
     let length = u32::try_from(decision.certificate.len()).map_err(std::io::Error::other)?;
