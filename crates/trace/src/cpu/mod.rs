@@ -2,13 +2,14 @@
 //!
 //! # Rule
 //!
-//! The triangle that a ray meets is a function of only the ray and the triangles. Neither the hierarchy nor
-//! its traversal nor the instruction set can change a bit, so all processors have one numerics profile.
+//! The triangle that a ray meets is a function of only the ray, the triangles and the scene's bounds. Neither
+//! the hierarchy nor its traversal nor the instruction set can change a bit, so all processors have one
+//! numerics profile.
 //!
 //! 1. **Units.** Along axes on which the scene is far from the origin of world space, the scene is translated
-//!    to the new origin. It is then scaled by a power of two to coordinates of at most one, and each direction
-//!    so that its largest component is one to two. All three are exact, except for coordinates below 2⁻¹²⁶ of
-//!    the largest. The origin of a ray is rounded once if it is far from the scene.
+//!    to the new origin. It is then scaled by a power of two to coordinates of at most one, and each
+//!    direction so that its largest component is one to two. All three are exact, except for coordinates
+//!    below 2⁻¹²⁶ of the largest. The origin of a ray is rounded once if it is far from the scene.
 //! 2. **Shear.** Vertices are translated by the origin and sheared so that the ray becomes the third axis
 //!    (Woop, Benthin and Wald 2013). Each operation in `f32` is rounded separately. A vertex has the same
 //!    sheared position in all its triangles.
