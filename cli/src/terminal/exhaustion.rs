@@ -3,11 +3,11 @@
 //!
 //! Stable Rust ends a process with `abort` if an allocation fails, and panics if the system provides no
 //! further thread. The program's allocator ends the process itself if a small allocation fails. It records
-//! other failed allocations, so that the handler of SIGABRT can distinguish this end from others. The C library aborts, too, for example if it cannot allocate the record
-//! of a thread's destructor; the handler recognises this end by an allocation that fails. Callers that handle
-//! a failed allocation themselves (`try_reserve`) continue. Panics and errors are recognised by the error
-//! numbers that the standard library writes into their texts, because the crates below return system errors
-//! as text.
+//! other failed allocations, so that the handler of SIGABRT can distinguish this end from others. The C
+//! library aborts, too, for example if it cannot allocate the record of a thread's destructor; the handler
+//! recognises this end by an allocation that fails. Callers that handle a large failed allocation themselves
+//! (`try_reserve`) continue. Panics and errors are recognised by the error numbers that the standard library
+//! writes into their texts, because the crates below return system errors as text.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
@@ -28,12 +28,14 @@ thread_local! {
 
 /// Maximum size in bytes of an allocation whose failure ends the process at once.
 ///
-/// Callers that handle failed allocations request more memory. The report of another failed allocation, with
-/// a backtrace, needs memory, too. If an allocation of this report fails, the standard library waits forever
-/// for the lock of the backtrace, which the same thread holds.
+/// Without such an amount, the process cannot report anything. The standard library reports a failed
+/// allocation with a backtrace, which needs memory, too. If an allocation of this report fails, the standard
+/// library waits forever for the lock of the backtrace, which the same thread holds.
+#[cfg(unix)]
 const ESSENTIAL: usize = 1 << 20;
 
 /// Records a failed allocation of `bytes` bytes if `pointer` is null. Returns `pointer`.
+#[cfg_attr(not(unix), allow(unused_variables, reason = "only Unix ends at once"))]
 fn noted(pointer: *mut u8, bytes: usize) -> *mut u8 {
     if pointer.is_null() {
         HAS_FAILED.set(true);

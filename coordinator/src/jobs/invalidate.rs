@@ -166,6 +166,8 @@ fn open_again(
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
             let failed = sightline_records::JobState::Failed { reason };
             let record = changes.set_state(id, &from, failed)?;
+            // If a client submits the job again, the new job must not continue from these outcomes.
+            c.workers.crews.outcomes.sweep(|other, _| other != id);
             changes.tell(Event::JobChanged(Box::new(record)));
         }
     }

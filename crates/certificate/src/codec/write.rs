@@ -2,6 +2,7 @@
 
 use dashu_int::{IBig, Sign};
 use glam::Vec3;
+use sightline_numbers::memory::other_than_exhaustion;
 use sightline_numbers::varint::write as put;
 
 use super::{APART, LEVEL, MAX_BYTES};
@@ -74,7 +75,7 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
              (--block-cells)",
         ));
     }
-    zstd::stream::encode_all(out.as_slice(), LEVEL)
+    zstd::stream::encode_all(out.as_slice(), LEVEL).map_err(other_than_exhaustion)
 }
 
 fn put_hidden(out: &mut Vec<u8>, hidden: &[HiddenGroup]) {

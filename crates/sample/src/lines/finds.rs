@@ -138,8 +138,11 @@ pub(super) fn encode<'b, A: ItemResult + 'b>(
         pairs.each_new(|at, word| words.push(at, word));
     }
     words.end(&mut raw);
-    // Writing to memory does not fail. The decoder rejects results that are cut short.
-    zstd::stream::encode_all(raw.as_slice(), LEVEL).unwrap_or_default()
+    // Without a lack of memory, writing to memory does not fail. The decoder rejects results that are cut
+    // short.
+    zstd::stream::encode_all(raw.as_slice(), LEVEL)
+        .map_err(other_than_exhaustion)
+        .unwrap_or_default()
 }
 
 /// Words by ascending index.
