@@ -272,7 +272,9 @@ async fn keep(
         let is_stored = spool
             .read(&*c.blobs, push)
             .map_err(|e| status::of_blob(&e))?;
-        if late_outcomes::remove_if_closed(c, tile).map_err(|e| status::of_store(&e))? {
+        if late_outcomes::remove_if_closed(c, lease.job, lease.tile)
+            .map_err(|e| status::of_store(&e))?
+        {
             return Ok(false);
         }
         if !is_stored {

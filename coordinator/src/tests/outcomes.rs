@@ -39,21 +39,21 @@ fn late_outcome_is_removed_and_early_one_stays() {
     let (done, other) = (grant.lease.tile, TileIndex(1 - grant.lease.tile.0));
     store(&c, job, done);
     store(&c, job, other);
-    assert!(!late_outcomes::remove_if_closed(&c, (job, done)).unwrap());
+    assert!(!late_outcomes::remove_if_closed(&c, job, done).unwrap());
     put(&c, &grant, &output(&grant, &[])).unwrap();
     assert_eq!(stored(&c, job)[done.at()], 0);
     // The commit has removed the outcomes, and another one arrives.
     store(&c, job, done);
-    assert!(late_outcomes::remove_if_closed(&c, (job, done)).unwrap());
-    assert!(!late_outcomes::remove_if_closed(&c, (job, other)).unwrap());
+    assert!(late_outcomes::remove_if_closed(&c, job, done).unwrap());
+    assert!(!late_outcomes::remove_if_closed(&c, job, other).unwrap());
     assert_eq!(stored(&c, job)[done.at()], 0);
     assert_eq!(stored(&c, job)[other.at()], 1);
 
     control::cancel(&c, job).unwrap();
     store(&c, job, other);
-    assert!(late_outcomes::remove_if_closed(&c, (job, other)).unwrap());
+    assert!(late_outcomes::remove_if_closed(&c, job, other).unwrap());
     store(&c, JobId(99), TileIndex(0));
-    assert!(late_outcomes::remove_if_closed(&c, (JobId(99), TileIndex(0))).unwrap());
+    assert!(late_outcomes::remove_if_closed(&c, JobId(99), TileIndex(0)).unwrap());
 }
 
 #[test]

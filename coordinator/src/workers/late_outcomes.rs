@@ -16,7 +16,8 @@ use crate::coordinator::Coordinator;
 /// [`StoreError`] if the store cannot be read.
 pub(crate) fn remove_if_closed(
     c: &Coordinator,
-    (job, tile): (JobId, TileIndex),
+    job: JobId,
+    tile: TileIndex,
 ) -> Result<bool, StoreError> {
     let record = c.records.job(job)?;
     if record.is_some_and(|record| !record.state.phase().ended())

@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn numbers_of_items_follow_granularity() {
-        let of = |items| -> Visibility {
+        let task_with = |items| -> Visibility {
             let job = job(Completion::Off);
             let sampling = job.visibility().unwrap().sampling().unwrap().clone();
             let completion = Completion::Off;
@@ -347,8 +347,8 @@ mod tests {
             (Granularity::Clusters, 10),
             (Granularity::Objects, 1),
         ] {
-            assert_eq!(SCENE.items_of(&of(items), TileKind::Leaf), number);
-            assert_eq!(SCENE.items_of(&of(items), TileKind::Face(0)), 10);
+            assert_eq!(SCENE.items_of(&task_with(items), TileKind::Leaf), number);
+            assert_eq!(SCENE.items_of(&task_with(items), TileKind::Face(0)), 10);
         }
     }
 

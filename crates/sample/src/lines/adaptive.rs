@@ -17,7 +17,7 @@ use sightline_trace::lines::grid::CellGrid;
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
-use super::completion::{LikelyItem, SEEN_PER_LIKELY, completed_set, joined};
+use super::likely_items::{LikelyItem, SEEN_PER_LIKELY, completed_set, joined};
 use super::rounds::Tolerance;
 use super::tile_sampling::{TileSampling, columns, share};
 use crate::context::{JobContext, TileError};

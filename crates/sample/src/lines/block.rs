@@ -19,7 +19,7 @@ use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::surface::Surface;
 
 use super::cell_table::{Cell, CellTable};
-use super::completion::Completion;
+use super::likely_items::Completion;
 use super::observer::LineObserver;
 use super::on_device_state::OnDevice;
 use super::pacing::LinePacing;

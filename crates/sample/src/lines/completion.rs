@@ -8,39 +8,17 @@
 //!
 //! Likely items have no witness. A set lists them as undecided.
 
-use std::collections::BTreeMap;
-
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use sightline_scene::TriangleId;
 
 use super::block::Block;
 use super::candidates::Candidate;
+use super::likely_items::{Completion, LikelyItem, SEEN_PER_LIKELY};
 
-/// The number of seen items of a block per likely item.
-pub(super) const SEEN_PER_LIKELY: usize = 20;
 /// The missed fraction with the likely items as a fraction of the missed fraction without them. Measured as
 /// 0.45 to 0.6 for triangles.
 const LEFT_AFTER_COMPLETION: f64 = 0.6;
-
-/// A likely item of a cell.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LikelyItem {
-    /// The item.
-    pub item: u32,
-    /// The rank of the item: a number that grows with the expected number of missed lines that end on it.
-    pub rank: f32,
-}
-
-/// The completion of a block.
-pub(super) struct Completion<'a> {
-    /// The classes of triangles with the same three vertices, which are seen together.
-    duplicates: &'a [Vec<u32>],
-    /// The class of each triangle that has duplicates.
-    class: BTreeMap<u32, u32>,
-    /// The likely items of each cell, by ascending item; empty before the first completion.
-    pub(super) likely: Vec<Vec<LikelyItem>>,
-}
 
 impl<'a> Block<'a> {
     /// Completes the sets of this block with likely items. `duplicates` are the classes of triangles with the
@@ -195,61 +173,5 @@ impl<'a> Block<'a> {
             .map_or_else(Vec::new, |completion| completion.likely.clone());
         likely.resize(self.table.cells.len(), Vec::new());
         likely
-    }
-}
-
-/// Returns the likely items of both lists, by ascending item, with the higher of two ranks.
-pub(super) fn joined(a: &[LikelyItem], b: &[LikelyItem]) -> Vec<LikelyItem> {
-    let mut all = [a, b].concat();
-    all.sort_unstable_by(|a, b| a.item.cmp(&b.item).then(b.rank.total_cmp(&a.rank)));
-    all.dedup_by_key(|likely| likely.item);
-    all
-}
-
-/// Returns a set and its undecided part, both in ascending order: the seen items and the highest of the
-/// likely items that were not seen, at most `most` of these.
-pub(super) fn completed_set(
-    mut seen: Vec<u32>,
-    mut likely: Vec<LikelyItem>,
-    most: usize,
-) -> (Vec<u32>, Vec<u32>) {
-    likely.retain(|l| seen.binary_search(&l.item).is_err());
-    likely.sort_unstable_by(|a, b| b.rank.total_cmp(&a.rank).then(a.item.cmp(&b.item)));
-    likely.truncate(most);
-    let mut undecided: Vec<u32> = likely.into_iter().map(|l| l.item).collect();
-    undecided.sort_unstable();
-    seen.extend_from_slice(&undecided);
-    seen.sort_unstable();
-    (seen, undecided)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn likely(items: &[(u32, f32)]) -> Vec<LikelyItem> {
-        let likely = items.iter();
-        likely
-            .map(|(item, rank)| LikelyItem {
-                item: *item,
-                rank: *rank,
-            })
-            .collect()
-    }
-
-    #[test]
-    fn set_contains_seen_items_and_highest_likely_ones() {
-        let items = likely(&[(0, 1.0), (3, 9.0), (4, 3.0), (9, 2.0), (11, 2.0)]);
-        let set = completed_set(vec![1, 3, 5, 7], items.clone(), usize::MAX);
-        assert_eq!(set, (vec![0, 1, 3, 4, 5, 7, 9, 11], vec![0, 4, 9, 11]));
-        let set = completed_set(vec![1, 3, 5, 7], items, 2);
-        assert_eq!(set, (vec![1, 3, 4, 5, 7, 9], vec![4, 9]));
-    }
-
-    #[test]
-    fn joined_item_has_higher_rank() {
-        let (a, b) = (likely(&[(1, 2.0), (5, 1.0)]), likely(&[(1, 3.0), (2, 1.0)]));
-        let expected = likely(&[(1, 3.0), (2, 1.0), (5, 1.0)]);
-        assert_eq!(joined(&a, &b), expected);
     }
 }

@@ -8,7 +8,7 @@ use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
-use super::completion::{LikelyItem, completed_set};
+use super::likely_items::{LikelyItem, completed_set};
 use super::pairs::of_tile;
 use super::rounds::Tolerance;
 use super::tile_sampling::{TileSampling, columns, share};

@@ -52,8 +52,18 @@ fn scene(triangles: Vec<Triangle>, sides: Option<Vec<Side>>) -> Arc<Scene> {
     })
 }
 
+/// The scale of a scene, and the position to which it is moved after the scaling.
+#[derive(Clone, Copy)]
+struct Place {
+    scale: f32,
+    moved: Vec3,
+}
+
 /// The place of a scene that is not scaled and not moved.
-const HERE: (f32, Vec3) = (1.0, Vec3::ZERO);
+const HERE: Place = Place {
+    scale: 1.0,
+    moved: Vec3::ZERO,
+};
 
 /// Returns triangles of very different sizes. Half have vertices on a lattice, so that many are coplanar,
 /// share vertices and edges, or are equal.
@@ -78,7 +88,7 @@ fn soup(count: u32, scale: f32, random: &mut Hashed) -> Vec<Triangle> {
 
 /// Returns packets of rays: from lattice points to lattice points, from one origin in similar directions, and
 /// along axes. Some packets are not full. The scene is scaled and then moved.
-fn packets(count: u32, (scale, moved): (f32, Vec3), random: &mut Hashed) -> Vec<Packet> {
+fn packets(count: u32, place: Place, random: &mut Hashed) -> Vec<Packet> {
     (0..count)
         .map(|i| {
             let mut packet = Packet::default();
@@ -97,8 +107,8 @@ fn packets(count: u32, (scale, moved): (f32, Vec3), random: &mut Hashed) -> Vec<
                     ),
                     _ => (origin, random.point() - 0.5),
                 };
-                let origin = from * scale + moved;
-                packet.push(origin.to_array(), (direction * scale).to_array());
+                let origin = from * place.scale + place.moved;
+                packet.push(origin.to_array(), (direction * place.scale).to_array());
             }
             packet
         })
@@ -181,7 +191,7 @@ fn compare(
     triangles: Vec<Triangle>,
     sides: Option<Vec<Side>>,
     passed: bool,
-    (scale, moved): (f32, Vec3),
+    place: Place,
     count: u32,
 ) {
     let mut random = Hashed::new(&[u64::from(count), triangles.len() as u64]);
@@ -200,8 +210,8 @@ fn compare(
     };
     let near = built.near;
     let mut built = Arc::into_inner(built).unwrap();
-    let step = 1e-4 * scale;
-    let mut rays = packets(count, (scale, moved), &mut random);
+    let step = 1e-4 * place.scale;
+    let mut rays = packets(count, place, &mut random);
     for packet in rays.iter_mut().step_by(3) {
         packet.distance = std::array::from_fn(|_| random.unit() * 2.0);
     }
@@ -313,7 +323,7 @@ fn passed_and_one_sided_triangles_have_hits_of_search() {
 fn scale_of_scene_does_not_matter() {
     let mut random = Hashed::new(&[3]);
     for scale in [1e-17, 1e-9, 1e7] {
-        let place = (scale, Vec3::ZERO);
+        let place = Place { scale, ..HERE };
         compare(soup(200, scale, &mut random), None, false, place, 40);
     }
 }
@@ -330,7 +340,7 @@ fn place_of_scene_does_not_matter() {
         for triangle in &mut triangles {
             triangle.v = triangle.v.map(|v| v + moved);
         }
-        compare(triangles, None, false, (1.0, moved), 40);
+        compare(triangles, None, false, Place { scale: 1.0, moved }, 40);
     }
 }
 
