@@ -6,7 +6,7 @@
 //! confidence 1 − α (Clopper and Pearson 1934). The bound holds for the average over the cell, not for the
 //! worst viewpoint.
 //!
-//! With completion ([`super::completion`]), a line that meets a likely item is not a miss. The likely items
+//! With completion (module `completion`), a line that meets a likely item is not a miss. The likely items
 //! of a cell are determined before its look.
 //!
 //! A cell that exceeds the bound is sampled further and has another look with new lines. Look k has the error

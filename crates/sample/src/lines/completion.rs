@@ -50,7 +50,8 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// Determines the likely items of all cells with viewpoints, as [`Self::complete`] does.
+    /// Determines the likely items of all cells with viewpoints from the state of the last barrier. Without
+    /// completion, does nothing.
     pub fn complete_all(&mut self) {
         let all = self.table.active();
         self.complete(&all);
