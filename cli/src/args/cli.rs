@@ -150,8 +150,8 @@ pub enum Command {
     /// reason why a clicked triangle is visible or hidden.
     View(ViewArgs),
     /// Write a report as HTML. The report contains the error with plots and the worst frames, the cells over
-    /// budget, and the most expensive objects, each with the number of cells that see the object and the
-    /// opening through which most of these cells see it.
+    /// budget, and the most expensive objects. For each object, it lists the number of cells that see the
+    /// object, and the opening through which most of these cells see it.
     Report(ReportArgs),
     /// Measure the time and the error of every sampler, from coarse to fine, as a table and curves.
     Bench(BenchArgs),
@@ -222,9 +222,9 @@ pub struct PortalsArgs {
     /// the box around the scene, and lists the eight largest spaces that walls enclose.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     pub reachable_from: Vec<[f32; 3]>,
-    /// The GLB file to write, for viewing: an object `cell N` for each convex part that the points reach,
-    /// `portal N-M` for the opening between two parts, and `way out` for the openings on a way out of the
-    /// scene, if walls do not enclose the points.
+    /// The GLB file to write, for viewing. It has an object `cell N` for each convex part that the points
+    /// reach, and an object `portal N-M` for the opening between two parts. If walls do not enclose the
+    /// points, the object `way out` contains the openings on a way out of the scene.
     #[arg(short, long, value_name = "OUT.glb")]
     pub output: Option<PathBuf>,
     #[command(flatten)]

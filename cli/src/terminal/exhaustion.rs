@@ -20,9 +20,8 @@ use std::panic::PanicHookInfo;
 pub struct Allocator;
 
 thread_local! {
-    /// True after an allocation of this thread has failed, or a panic for lack of memory has begun. Later
-    /// allocations do not reset the flag: between the failure and `abort`, the standard library may print a
-    /// backtrace, which allocates.
+    /// True after an allocation of this thread has failed. Later allocations do not reset the flag: between
+    /// the failure and `abort`, the standard library may print a backtrace, which allocates.
     static HAS_FAILED: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -89,10 +88,6 @@ pub fn watch() {
                     what.sentence(),
                     what.remedy()
                 ));
-                // Unwinding needs memory, too. If it cannot start, the panic ends in `abort`.
-                if what == Exhausted::Memory {
-                    HAS_FAILED.set(true);
-                }
                 // Other threads may wait forever for a thread that could not start or that has panicked.
                 #[cfg(unix)]
                 if what != Exhausted::Files {

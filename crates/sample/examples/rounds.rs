@@ -197,7 +197,7 @@ fn sample(
         block.set_pace(pace);
     }
     if completes {
-        block.set_completion(&[]);
+        block.enable_completion(&[]);
     }
     block.sample(target, &[], Tolerance::Raised)?;
     block.complete_all();

@@ -216,7 +216,7 @@ fn likely_triangles_lower_error() {
             with_block(&scene, &sight, [b.min, b.max], [6, 2, 6], 7, |block| {
                 block.sample(0.01, &[], Tolerance::Equal).unwrap();
                 if completes {
-                    block.set_completion(&[]);
+                    block.enable_completion(&[]);
                 }
                 block.complete_all();
                 let (seen, likely) = (sets(block), likely(block));
@@ -293,7 +293,7 @@ fn bounds_hold_with_their_confidence() {
                 // Sampling stops early, so that the set is incomplete when the bound is computed.
                 block.sample_guided(600).unwrap();
                 if completes {
-                    block.set_completion(&[]);
+                    block.enable_completion(&[]);
                 }
                 block.complete_all();
                 let (before, likely) = (sets(block), likely(block));

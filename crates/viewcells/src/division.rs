@@ -73,9 +73,9 @@ pub enum DivisionError {
     },
     /// Cells are so thin that rounding can move a sight line across a cell.
     #[error(
-        "view cells {width:.2e} wide along {} are too thin for coordinates as large as {largest}, \
-         because rounding can move a sight line by the width of a cell; use wider cells or an exact method, \
-         or move the scene nearer to the origin",
+        "view cells {width:.2e} wide along {} are too thin for coordinates as large as {largest}: \
+         rounding can move a sight line by this width; use wider cells, an exact method, or a scene nearer \
+         to the origin",
         axis_name(*axis)
     )]
     TooThin {

@@ -48,7 +48,7 @@ pub fn run(
     // The number of finished cells is unknown until the tree is built.
     block.caller_reports_cells = true;
     if job.completes {
-        block.set_completion(sampling.scene.duplicates);
+        block.enable_completion(sampling.scene.duplicates);
     }
     block.sample(error, &[], Tolerance::Raised)?;
     block.complete_all();

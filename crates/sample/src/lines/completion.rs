@@ -21,11 +21,11 @@ use super::likely_items::{Completion, LikelyItem, SEEN_PER_LIKELY};
 const LEFT_AFTER_COMPLETION: f64 = 0.6;
 
 impl<'a> Block<'a> {
-    /// Completes the sets of this block with likely items. `duplicates` are the classes of triangles with the
-    /// same three vertices.
+    /// Lets [`Self::complete_all`] determine likely items, and lets sampling end at the error before
+    /// completion. `duplicates` are the classes of triangles with the same three vertices.
     ///
-    /// A block of one cell has no candidates, so it is not completed.
-    pub fn set_completion(&mut self, duplicates: &'a [Vec<u32>]) {
+    /// A block of one cell has no candidates, so the function has no effect there.
+    pub fn enable_completion(&mut self, duplicates: &'a [Vec<u32>]) {
         if self.table.active().len() < 2 {
             return;
         }

@@ -72,7 +72,7 @@ pub fn run(
     };
     let mut block = sampling.block(&tile.cell, span(&tile.cell), number, parts);
     if job.completes {
-        block.set_completion(scene.duplicates);
+        block.enable_completion(scene.duplicates);
     }
     tracing::debug!(
         "found the triangles that intersect each cell after {:?}",
