@@ -45,7 +45,7 @@ cd "$(dirname "$0")/.."
 ./scripts/setup.sh --for run
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
-say 'building (the first build takes about seven minutes on two cores)'
+say 'building (the first build needs 8 to 16 minutes on two cores)'
 cargo build --profile dist --locked
 sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/dist/sightline
 
@@ -81,6 +81,7 @@ printf -v result_name %q "$result"
 cat >&2 <<END
 next:
   $sightline info $result_name       describe the result
+  $sightline view $result_name $(printf %q "$scene")       inspect the result in a browser
   $sightline query --help            query the triangles that are visible from a point
   $PWD/scripts/bake.sh YOUR_SCENE.glb     bake another scene
 END

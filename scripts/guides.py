@@ -47,6 +47,7 @@ PREPARED = {
     "docs/report.md": [LEVEL.format("level"), RESULT.format("level")],
     "examples/README.md": [LEVEL.format("level"), "mkdir Assets PROJECT"],
     "docs/look.md": [LEVEL.format("level"), RESULT.format("level")],
+    "docs/viewpoints.md": [ROOM.format("level")],
     "docs/ambient.md": [ROOM.format("town")],
     "docs/cluster.md": [TOWN.format("my_level")],
     "docs/farm.md": [LEVEL.format("level")],

@@ -2,6 +2,8 @@
 # Runs the checks that take too long for every change:
 #
 # - the tests of the Python package that pip builds
+# - ten million rays of each kind against a search through all triangles
+# - the tests of the cpu tracer on another kind of processor (NEON, under qemu) and in WebAssembly (Node.js)
 # - the commands of the guides
 # - 250 schedules of the chaos harness
 # - tests with damaged journals and failing disks
@@ -15,6 +17,29 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 scripts/python.sh
+SIGHTLINE_RAYS=10000000 cargo test --locked --workspace --lib -- --ignored many_rays_have_hits_of_search
+if [ "$(uname -m)" = x86_64 ]; then
+  rustup target add aarch64-unknown-linux-gnu
+  command -v qemu-aarch64-static >/dev/null && command -v aarch64-linux-gnu-g++ >/dev/null || {
+    printf 'nightly: install the Debian packages qemu-user-static and g++-aarch64-linux-gnu\n' >&2
+    exit 1
+  }
+  CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
+    CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER='qemu-aarch64-static -L /usr/aarch64-linux-gnu' \
+    cargo test --locked -p sightline-trace --target aarch64-unknown-linux-gnu --lib -- \
+      cpu:: lines::packet_walk
+fi
+rustup target add wasm32-wasip1
+command -v clang >/dev/null && command -v node >/dev/null && [ -d /usr/include/wasm32-wasi ] || {
+  printf 'nightly: install Node.js 20 or later, and the Debian packages clang and wasi-libc\n' >&2
+  exit 1
+}
+# WASI has no threads. The concurrent compiler of Node.js 20 sometimes crashes.
+CC_wasm32_wasip1=clang CFLAGS_wasm32_wasip1=--target=wasm32-wasi \
+  CARGO_TARGET_WASM32_WASIP1_RUSTFLAGS='-C target-feature=+simd128' \
+  CARGO_TARGET_WASM32_WASIP1_RUNNER="node --no-warnings --single-threaded $PWD/scripts/run_wasi.mjs" \
+  cargo test --locked -p sightline-trace --target wasm32-wasip1 --lib -- \
+    --test-threads 1 cpu:: lines::packet_walk
 cargo build --locked --workspace
 export SIGHTLINE_BIN=${CARGO_TARGET_DIR:-$PWD/target}/debug/sightline
 scripts/guides.py

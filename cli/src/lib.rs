@@ -123,6 +123,7 @@ fn run(cli: Cli) -> Result<(), Error> {
         Command::Portals(a) => scenes::portals::run(&a, json),
         Command::Tetra(a) => scenes::tetra::run(&a, json),
         Command::Info(a) => results::info::run(&a, json),
+        Command::Cells(a) => results::cells::run(&a, json),
         Command::Dump(a) => results::dump::run(&a),
         Command::Query(a) => results::query::run(&a, json),
         Command::Look(a) => results::look_points::run(&a),

@@ -3,10 +3,10 @@
 //!
 //! | task | functions |
 //! |---|---|
-//! | bake here | [`read_scene`], [`JobOptions::resolve`], [`bake`], [`ambient`] |
+//! | bake here | [`read_scene`], [`JobOptions::resolve`], [`bake`], [`ambient()`] |
 //! | bake on a farm | [`Client::submit`], [`JobHandle::wait`], [`JobHandle::fetch`], [`JobHandle::act`] |
 //! | bake without a coordinator | [`tiles::plan`], [`tiles::run_tile`], [`tiles::assemble`] |
-//! | use a result | [`open`], and the methods of [`Pvs`] |
+//! | use a result | [`open`], the methods of [`Pvs`], and [`cell_divisions`] |
 //! | check a result | [`measure()`], [`verify()`], [`explain()`] |
 //!
 //! The command `sightline` and the Python package call the functions of this crate.
@@ -19,6 +19,7 @@
 //! - `tiles`: bakes without a coordinator.
 //! - `result`, `measure`, `verify`, `explain`, `queries`: results, their checks, and the answers that a
 //!   coordinator requests.
+//! - `cell_budget`: view cells for a budget, in the grid of a result.
 //! - `ambient`: jobs of ambient occlusion.
 //! - `tracers`, `traces`, `process`, `output`, `progress`, `observer`, `error`, `words`: resources and
 //!   messages.
@@ -51,6 +52,7 @@
 //! ```
 
 mod ambient;
+mod cell_budget;
 mod client;
 mod error;
 mod explain;
@@ -78,6 +80,9 @@ pub use sightline_scene::{Scene, TriangleId};
 pub use sightline_viewcells::CellIndex;
 
 pub use crate::ambient::{AmbientResult, OrderedReceivers};
+pub use crate::cell_budget::{
+    CellBudget, CellCost, CellDivision, CellDivisions, CellOfBudget, HullPoint, cell_divisions,
+};
 pub use crate::client::{
     Client, CredentialFiles, Endpoint, Estimate, Invalidation, Job, JobAction, JobFilter,
     JobHandle, JobList, Submission, WorkerList,

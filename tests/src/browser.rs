@@ -1,13 +1,40 @@
 //! Chromium without a window, driven through chromedriver by the WebDriver protocol (W3C).
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::io::{BufRead as _, BufReader, Lines, Read as _, Write as _};
 use std::net::TcpStream;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
 use crate::in_ci;
+
+/// The number of attempts to start chromedriver.
+const ATTEMPTS: usize = 20;
+
+/// Starts chromedriver. Returns it with its port and its remaining output. chromedriver chooses a port that
+/// is free for IPv6 and takes the same number for IPv4, so it ends if another process has that one.
+fn start_driver() -> std::io::Result<(Child, u16, Lines<BufReader<ChildStdout>>)> {
+    for _ in 0..ATTEMPTS {
+        let mut driver = Command::new("chromedriver")
+            .arg("--port=0")
+            .stdout(Stdio::piped())
+            .spawn()?;
+        let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines();
+        let port = lines.find_map(|line| {
+            let line = line.unwrap();
+            let (_, port) = line.rsplit_once("successfully on port ")?;
+            port.trim_end_matches('.').parse().ok()
+        });
+        if let Some(port) = port {
+            return Ok((driver, port, lines));
+        }
+        driver.wait()?;
+    }
+    Err(std::io::Error::other(format!(
+        "it found no free port in {ATTEMPTS} attempts"
+    )))
+}
 
 /// A separate browser, which ends when it is dropped.
 pub struct Browser {
@@ -20,12 +47,8 @@ impl Browser {
     /// Starts a browser with a window of this size. Returns `None` without chromedriver, which is a failure
     /// on CI.
     pub fn start([width, height]: [u32; 2]) -> Option<Self> {
-        let driver = Command::new("chromedriver")
-            .arg("--port=0")
-            .stdout(Stdio::piped())
-            .spawn();
-        let mut driver = match driver {
-            Ok(driver) => driver,
+        let (driver, port, lines) = match start_driver() {
+            Ok(started) => started,
             Err(e) if !in_ci() => {
                 eprintln!(
                     "not run: chromedriver cannot be started ({e}); scripts/setup.sh --for test"
@@ -34,17 +57,6 @@ impl Browser {
             }
             Err(e) => panic!("chromedriver cannot be started: {e}"),
         };
-        let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines();
-        let port = lines
-            .find_map(|line| {
-                line.unwrap()
-                    .rsplit_once("successfully on port ")?
-                    .1
-                    .trim_end_matches('.')
-                    .parse()
-                    .ok()
-            })
-            .expect("chromedriver names its port");
         // chromedriver continues to write, so its output must be read.
         std::thread::spawn(move || lines.for_each(drop));
         let arguments = [

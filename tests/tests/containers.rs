@@ -191,6 +191,9 @@ fn containers_share_one_block_through_all_faults() {
             [
                 "--cells",
                 "8x8x8",
+                // With small errors, the default has several tiles.
+                "--block-cells",
+                "512",
                 "--backend",
                 "cpu",
                 "--target-error",

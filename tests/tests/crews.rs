@@ -7,9 +7,10 @@ use std::sync::OnceLock;
 
 use sightline_tests::{Background, Coordinator, Sandbox, assert_same, wait_for};
 
-/// The scene of a job with one tile of several seconds, with default flags except for a coarser target.
+/// The scene of a job with one tile of several seconds, with default flags except for the target
+/// error.
 const SCENE: &str = "generate town --triangles 60000 -o town.glb";
-const JOB: &str = "town.glb --backend cpu --target-error 3e-4";
+const JOB: &str = "town.glb --backend cpu --target-error 5e-5";
 
 fn sandbox() -> Sandbox {
     let mut sandbox = Sandbox::new();

@@ -116,13 +116,13 @@ fn methods_samplers_and_backends_see_through_glass() {
     );
     sandbox.ok("verify room.obj exact.pvs");
     let ways = [
-        ("lines", "--backend cpu"),
+        ("lines", "--complete off --backend cpu"),
         // Along a ray that meets an edge within rounding, either of its faces can be the nearest, also the
         // hidden one. With this seed no ray does.
         ("guided", "--backend cpu --sampler guided --seed 4"),
         ("cubes", "--backend cpu --sampler cubes --resolution 64"),
-        ("bound", "--backend cpu --max-error 0.01"),
-        ("lines-gpu", "--backend gpu"),
+        ("bound", "--complete off --backend cpu --max-error 0.01"),
+        ("lines-gpu", "--complete off --backend gpu"),
         ("cubes-gpu", "--backend gpu --sampler cubes --resolution 32"),
         ("verified", "--method verified"),
     ];
@@ -156,7 +156,7 @@ fn methods_samplers_and_backends_see_through_glass() {
     }
     // The same file with all triangles opaque, by a flag: no triangle behind the window is visible, and the
     // measurement agrees.
-    let opaque = bake("opaque", "--opaque");
+    let opaque = bake("opaque", "--complete off --opaque");
     assert!(
         opaque.iter().all(|cell| cell.iter().all(|t| *t < before)),
         "the crate is hidden"

@@ -34,6 +34,8 @@ const BAD: u32 = 20;
 const ADDRESS: &str = "POISON_ADDRESS";
 const NAME: &str = "POISON_NAME";
 const END: &str = "POISON_END";
+/// The names of the workers.
+const WORKERS: [&str; 3] = ["ada", "bob", "eve"];
 /// The memory limit of a worker's control group, in bytes.
 const MEMORY: u64 = 256 << 20;
 /// The computation time of a tile.
@@ -146,19 +148,20 @@ fn start(coordinator: &Coordinator<'_>, name: &str, end: &str, group: Option<&Bo
     child
 }
 
-/// Runs a job with three workers that are started again whenever they end. Returns the duration of the job
-/// and the number of ends.
+/// Runs a job with three workers that are started again whenever they end, each in its own group if there
+/// are groups. Returns the duration of the job and the number of ends.
 fn run(
     coordinator: &Coordinator<'_>,
     job: u64,
     end: &str,
-    group: Option<&Bounded>,
+    groups: Option<&[Bounded; 3]>,
 ) -> (Duration, u32) {
     let (over, ends) = (AtomicBool::new(false), AtomicU32::new(0));
     let begun = Instant::now();
     std::thread::scope(|scope| {
-        for name in ["ada", "bob", "eve"] {
+        for (at, name) in WORKERS.into_iter().enumerate() {
             let (over, ends) = (&over, &ends);
+            let group = groups.map(|groups| &groups[at]);
             scope.spawn(move || {
                 while !over.load(Ordering::Relaxed) {
                     let mut worker = start(coordinator, name, end, group);
@@ -190,8 +193,9 @@ fn tile_that_kills_workers_is_set_aside() {
     let (calm, ends) = run(&coordinator, job, "never", None);
     assert_eq!((ends, coordinator.count(job, "tiles_set_aside")), (0, 0));
     for (seed, end) in (2..).zip(["abort", "memory", "exit"]) {
-        let group = if end == "memory" {
-            let Some(group) = Bounded::new("poison") else {
+        // In a common group, the kernel could end a worker with a good tile.
+        let groups = if end == "memory" {
+            let [Some(ada), Some(bob), Some(eve)] = WORKERS.map(Bounded::new) else {
                 assert!(
                     !in_ci(),
                     "no control group could be made, so the kernel ends nobody for memory"
@@ -199,12 +203,12 @@ fn tile_that_kills_workers_is_set_aside() {
                 println!("not run: the end for memory (no control group could be made)");
                 continue;
             };
-            Some(group)
+            Some([ada, bob, eve])
         } else {
             None
         };
         let job = coordinator.submit(&format!("{JOB} {seed}"));
-        let (time, ends) = run(&coordinator, job, end, group.as_ref());
+        let (time, ends) = run(&coordinator, job, end, groups.as_ref());
         println!(
             "{end}: {ends} workers ended, {:.2} of the calm time",
             time.as_secs_f64() / calm.as_secs_f64()

@@ -183,12 +183,18 @@ fn smallest_thresholds_reach_result() {
 #[test]
 fn point_outside_view_box_has_no_answer() {
     let sandbox = baked();
-    for point in ["0 0 1e6", "-1e6 1 1", "1 nan 1", "inf 1 1"] {
+    for point in ["0 0 1e6", "-1e6 1 1"] {
         sandbox
             .run(&format!("query maze.pvs {point}"))
             .code(3)
             .says("outside the view box")
             .says("maze.pvs");
+    }
+    for point in ["1 nan 1", "inf 1 1"] {
+        sandbox
+            .run(&format!("query maze.pvs {point}"))
+            .code(3)
+            .says("three finite numbers");
     }
     sandbox.run("query maze.pvs 1 2").code(2);
     sandbox

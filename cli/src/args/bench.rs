@@ -72,7 +72,8 @@ exit; `sightline measure` then computes the error of its result. The table shows
 sampler needs for a given mean error, interpolated between measured points. Times are never \
 extrapolated: `≤` marks the time of a sampler's fastest point when that point already has a smaller \
 error, and `>` marks the time of its slowest point when no point reaches the error. Ratios of such \
-times are bounds. The baseline is guided: a fixed number of rays for each cell separately.\n\n  \
+times are bounds. The baseline is guided: a fixed number of guided rays for each \
+cell, which credit every cell that they cross. The rays of guided-own credit only their own cell.\n\n  \
   sightline bench level.glb                                  time against error, some minutes\n  \
   sightline bench level.glb town.glb --points full --max-seconds 600 --results RESULTS.md\n  \
   sightline bench level.glb --samplers lines,guided          two curves only\n  \

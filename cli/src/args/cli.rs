@@ -15,7 +15,9 @@ use crate::args::remote::{
     FetchArgs, InvalidateArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs,
     ShowArgs, SubmitArgs, WorkersArgs,
 };
-use crate::args::results::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
+use crate::args::results::{
+    CellsArgs, CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs,
+};
 use crate::args::serve::{CoordinatorArgs, LogFormat, WorkerArgs};
 use crate::args::store::StoreCommandArgs;
 use crate::args::tetra::{LookArgs, TetraArgs};
@@ -132,6 +134,7 @@ pub enum Command {
     Dump(DumpArgs),
     /// Compare two results of the same cells, and print the items that their sets gained and lost.
     Diff(DiffArgs),
+    Cells(CellsArgs),
     /// Write the objects of each cell for an engine, for streaming, or as a table.
     Export(ExportArgs),
     /// Print the set of the cell that contains a point, or the reason why a triangle is in this set or not.

@@ -13,7 +13,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     (
         "Results",
         &[
-            "info", "dump", "query", "look", "view", "report", "diff", "export",
+            "info", "dump", "query", "look", "view", "report", "diff", "export", "cells",
         ],
     ),
     ("Checks", &["verify", "measure", "bench"]),

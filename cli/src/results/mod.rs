@@ -1,5 +1,6 @@
 //! Commands about results.
 
+pub mod cells;
 pub mod diff;
 pub mod diff_page;
 pub mod dump;

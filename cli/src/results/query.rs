@@ -117,6 +117,11 @@ fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<CellIndex, Erro
     let point: [f32; 3] = point
         .try_into()
         .map_err(|_| Error::usage("give a point as three numbers X Y Z".to_owned()))?;
+    if !point.iter().all(|c| c.is_finite()) {
+        return Err(Error::input(format!(
+            "{point:?} is not a point; give three finite numbers"
+        )));
+    }
     pvs.find_cell(point).map(CellIndex).ok_or_else(|| {
         let [min, max] = pvs.tree().view_box();
         Error::input(format!(

@@ -78,6 +78,26 @@ fn another_worker_checks_tile_before_its_job_ends() {
 }
 
 #[test]
+fn open_tiles_are_leased_before_checks() {
+    let mut b = empty(1);
+    b.scheduler.settings.spot_check = 1.0;
+    b.add(3, "", 0, false);
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    let bob = b.arrive("bob");
+    assert_eq!(b.grants(bob)[0].tile, TileIndex(2));
+    // Without an open tile, bob checks.
+    b.deliver(bob, "bob", RIGHT);
+    b.deliver(ada, "ada", RIGHT);
+    b.wait(1);
+    let lease = *b.grants(bob).last().unwrap();
+    assert!(matches!(
+        b.scheduler.admit(&lease).unwrap().right,
+        Right::Compare { .. }
+    ));
+}
+
+#[test]
 fn job_that_was_paused_with_checks_left_ends_after_it_was_resumed() {
     let (mut b, job) = checked();
     let ada = b.arrive("ada");

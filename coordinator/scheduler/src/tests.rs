@@ -30,8 +30,13 @@ pub(super) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
 
 /// Returns a job of lines over a grid, on the cpu and without pairs of cells.
 pub(super) fn lines(scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
+    lines_with(TracerChoice::Cpu, scene, cells, seed)
+}
+
+/// Returns a job of lines over a grid, with this choice of a tracer and without pairs of cells.
+fn lines_with(tracer: TracerChoice, scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
     let sampling = Sampling {
-        tracer: TracerChoice::Cpu,
+        tracer,
         ..Sampling::new(Sampler::lines(KnownCells::Grid(cells)))
     };
     let task = Visibility {
@@ -288,6 +293,18 @@ impl Bench {
     pub(super) fn add(&mut self, tiles: u32, user: &str, priority: i32, ran: bool) -> JobId {
         let seed = self.store.jobs().unwrap().len() as u64;
         let spec = lines([7; 32], grid([tiles, 1, 1], 1), seed);
+        self.add_spec(spec, tiles, user, priority, ran)
+    }
+
+    /// Submits a job like [`Self::add`], with these parameters.
+    fn add_spec(
+        &mut self,
+        spec: JobSpec,
+        tiles: u32,
+        user: &str,
+        priority: i32,
+        ran: bool,
+    ) -> JobId {
         let job = NewJob {
             key: spec.key(),
             request_id: String::new(),
@@ -526,6 +543,76 @@ fn job_binds_to_profile_of_most_workers() {
     );
     b.want(WorkerId(3), 1);
     assert_eq!(b.holders()[0], Some(WorkerId(3)));
+}
+
+#[test]
+fn timer_of_earlier_wait_binds_no_job() {
+    let mut b = empty(1);
+    let spec = lines_with(TracerChoice::Auto, [7; 32], grid([2, 1, 1], 1), 0);
+    let job = b.add_spec(spec, 2, "", 0, false);
+    let join = |b: &mut Bench, name: &str, profiles: &[&str]| {
+        b.step(Event::Joined(Introduction {
+            profiles: profiles.iter().map(|p| (*p).to_owned()).collect(),
+            ..introduction(name, 0)
+        }));
+        b.answer.take().unwrap().unwrap().worker
+    };
+    let bound = |b: &Bench| b.scheduler.job(job).unwrap().record.profile.clone();
+    // The job waits for 300 s for the timing of the first worker, which leaves.
+    let first = join(&mut b, "a", &["cpu/rare", "gpu/fast"]);
+    b.want(first, 1);
+    assert!(matches!(
+        b.told[&first].last(),
+        Some(WorkerCommand::Time { .. })
+    ));
+    b.leave(first);
+    // The job then waits for a second for more workers.
+    b.ms = 299_500;
+    let second = join(&mut b, "b", &["cpu/rare"]);
+    join(&mut b, "c", &["cpu/common"]);
+    join(&mut b, "d", &["cpu/common"]);
+    b.want(second, 1);
+    b.ms = 300_200;
+    b.step(Event::Tick);
+    assert_eq!(bound(&b), None);
+    b.ms = 300_500;
+    b.step(Event::Tick);
+    assert_eq!(bound(&b).as_deref(), Some("cpu/common"));
+}
+
+#[test]
+fn profile_that_no_able_worker_has_delays_no_binding() {
+    let mut b = two_tiles();
+    let intro = Introduction {
+        profiles: vec!["gpu/other".to_owned()],
+        ..introduction("a", 0)
+    };
+    b.step(Event::Joined(intro));
+    let two = b.join("b");
+    b.want(two, 1);
+    assert_eq!(b.holders()[0], Some(two), "the job is bound at once");
+}
+
+#[test]
+fn result_is_assembled_again_when_space_may_be_free() {
+    let mut b = two_tiles();
+    b.ms = 5000;
+    let one = b.join("a");
+    for n in 0..2 {
+        b.want(one, 1);
+        let lease = b.grants(one)[n];
+        b.step(Event::Committed {
+            lease,
+            digest: [2; 32],
+            stats: sightline_records::TileStats::default(),
+        });
+    }
+    assert_eq!(b.assembled, [JobId(1)]);
+    b.step(Event::AssemblyWaits(JobId(1)));
+    b.wait(9);
+    assert_eq!(b.assembled.len(), 1);
+    b.wait(1);
+    assert_eq!(b.assembled.len(), 2);
 }
 
 #[test]

@@ -17,7 +17,7 @@ pub const MAX_USER_BYTES: usize = MAX_OWNER_BYTES;
 /// Maximum number of tokens in a file.
 const MAX_TOKENS: usize = 100_000;
 /// Maximum size of a token file, in bytes.
-const MAX_BYTES: u64 = 64 << 20;
+pub(super) const MAX_BYTES: u64 = 64 << 20;
 /// The context string of the digests of secrets.
 const CONTEXT: &str = "sightline 2026-11 token";
 

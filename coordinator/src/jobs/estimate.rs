@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use sightline_model::numbers::{RayCount, TargetError};
 use sightline_model::{
-    CubeParams, JobSpec, LineAim, MethodName, PlannedJob, Sampler, SamplerName, Sampling, Stop,
-    Visibility,
+    Crediting, CubeParams, JobSpec, LineAim, MethodName, PlannedJob, Sampler, SamplerName,
+    Sampling, Stop, Visibility,
 };
 use sightline_records::ids::JobId;
 use sightline_records::{JobPhase, JobRecord, JobState, owned_key, owned_request};
@@ -185,7 +185,7 @@ fn samples_alike(a: &JobSpec, b: &JobSpec) -> bool {
                     LineAim::Known { error, stop, .. } => SamplerParams::Lines(*error, *stop),
                     LineAim::Adaptive { error, .. } => SamplerParams::Lines(*error, Stop::Expected),
                 },
-                Sampler::Guided { rays, .. } => SamplerParams::Guided(*rays),
+                Sampler::Guided { rays, credit, .. } => SamplerParams::Guided(*rays, *credit),
                 Sampler::Cubes { params, .. } => SamplerParams::Cubes(*params),
             };
             (sampler, sampling.contributions)
@@ -199,7 +199,7 @@ fn samples_alike(a: &JobSpec, b: &JobSpec) -> bool {
 #[derive(PartialEq)]
 enum SamplerParams {
     Lines(TargetError, Stop),
-    Guided(RayCount),
+    Guided(RayCount, Crediting),
     Cubes(CubeParams),
 }
 

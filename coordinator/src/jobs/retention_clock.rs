@@ -20,7 +20,7 @@
 //!   in this process. So a record from inside the span is older than the age, too.
 //!
 //! A time in the future is from before the span if neither doubt nor a lost stamp explains it. After the last
-//! step, retention is late by at most [`longest_delay`] of run time.
+//! step, retention is late by at most `longest_delay` of run time.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -68,6 +68,13 @@ pub(super) fn trust(store: &dyn Store) {
             .fail_tile(JOB, TileIndex(0), &worker, &"é".repeat(MAX_REASON_BYTES))
             .unwrap();
     }
+    // A second death of the same worker does not count.
+    let deaths = ["a", "b", "a"].map(|worker| {
+        store
+            .count_death(JOB, TileIndex(1), worker, "died")
+            .unwrap()
+    });
+    assert_eq!(deaths, [1, 2, 2]);
     store.commit_tile(JOB, TileIndex(0), result(7)).unwrap();
     store
         .confirm_tile(JOB, TileIndex(0), [8; 32], check(1))
@@ -107,8 +114,8 @@ pub(super) fn trust(store: &dyn Store) {
     );
     // The job records the epoch, so that earlier leases can be recognised.
     assert_eq!(again.reopened_epoch, Some(store.epoch().unwrap()));
-    // The first reason stays.
-    for reason in ["first", "second"] {
+    // The first reason stays, without control characters.
+    for reason in ["fir\u{7}st", "second"] {
         let record = QuarantineRecord {
             worker: "w".to_owned(),
             at_ms: 3,
@@ -122,7 +129,7 @@ pub(super) fn trust(store: &dyn Store) {
             .iter()
             .map(|q| q.reason.as_str())
             .collect::<Vec<_>>(),
-        ["first"]
+        ["fir st"]
     );
     assert!(store.release("w").unwrap() && !store.release("w").unwrap());
     assert!(store.quarantined().unwrap().is_empty());
@@ -156,6 +163,36 @@ pub(super) fn trust(store: &dyn Store) {
     );
     assert_eq!(other.entries().unwrap(), entries);
     store.may_change().unwrap();
+}
+
+#[test]
+fn unconfirmed_tiles_of_worker_are_untrusted() {
+    let store = MemoryStore::new();
+    store.record_scene(scene(1)).unwrap();
+    store.submit_job(job(4)).unwrap();
+    // Tile 0 is confirmed. Tile 1 is older, tile 2 is newer, and tile 3 is from another worker.
+    for (tile, worker, at_ms) in [(0, "a", 10), (1, "a", 9), (2, "a", 11), (3, "b", 11)] {
+        let stats = TileStats {
+            worker: worker.to_owned(),
+            at_ms,
+            ..TileStats::default()
+        };
+        let done = TileResult {
+            digest: [7; 32],
+            bytes: 1,
+            stats,
+        };
+        store.commit_tile(JOB, TileIndex(tile), done).unwrap();
+    }
+    store
+        .confirm_tile(JOB, TileIndex(0), [7; 32], check(20))
+        .unwrap();
+    let untrusted = |condemned| {
+        let tiles = untrusted_tiles(&store, &["a".to_owned()], condemned).unwrap();
+        tiles[&JOB].iter().map(|tile| tile.0).collect::<Vec<_>>()
+    };
+    assert_eq!(untrusted(None), [2]);
+    assert_eq!(untrusted(Some((JOB, TileIndex(1)))), [1, 2]);
 }
 
 #[test]

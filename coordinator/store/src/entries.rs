@@ -91,4 +91,15 @@ mod tests {
             assert!(Entry::parse(&bad.0, &bad.1).is_err(), "{bad:?}");
         }
     }
+
+    #[test]
+    fn longest_key_is_read_and_longer_one_is_not() {
+        let read = |length: usize| {
+            let key = vec![b'k'; length];
+            let value = encode(&key, &7u64).unwrap();
+            let text = Entry { key, value }.written();
+            Entry::parse(&text.0, &text.1).is_ok()
+        };
+        assert_eq!([256, 257].map(read), [true, false]);
+    }
 }

@@ -462,3 +462,25 @@ fn stuck() -> StoreError {
         what: "no space left on device".to_owned(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::disk::SystemDisk;
+
+    /// Checks that a view can be opened while the previous handle of this process is still being closed.
+    #[test]
+    fn open_waits_for_previous_handle() {
+        let folder = tempfile::tempdir().unwrap();
+        let (view, journal) = (folder.path().join("view"), folder.path().join("journal"));
+        let open = || Live::open(&view, Arc::new(SystemDisk), &journal);
+        let previous = open().unwrap();
+        let closing = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            drop(previous);
+        });
+        let next = open();
+        closing.join().unwrap();
+        assert!(next.is_ok());
+    }
+}

@@ -83,3 +83,31 @@ pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(std::io::Error)
         source: Arc::new(source),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn probe_finds_lock_and_changes_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        assert!(probe(&path).unwrap().is_none(), "the file does not exist");
+        assert!(!path.exists());
+        let held = lock(&path).unwrap();
+        let pid = std::process::id().to_string();
+        match probe(&path).unwrap_err() {
+            StoreError::InUse { pid: holder, .. } => assert_eq!(holder, pid),
+            other => panic!("{other}"),
+        }
+        drop(held);
+        assert!(probe(&path).unwrap().is_some());
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), pid);
+        // Other faults are errors.
+        let below = path.join("lock");
+        assert!(matches!(
+            probe(&below).unwrap_err(),
+            StoreError::Io { doing: "open", .. }
+        ));
+    }
+}

@@ -14,8 +14,9 @@ use glam::Vec3;
 use sightline_bake::{BakeScene, Control, Inputs, PackBytes, SoleMember, run};
 use sightline_model::numbers::Resolution;
 use sightline_model::{
-    CellToCell, CubeCells, CubeGrid, CubeParams, Effort, GridCells, JobSpec, KnownCells, Method,
-    PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility, codec,
+    CellToCell, Completion, CubeCells, CubeGrid, CubeParams, Effort, Granularity, GridCells,
+    JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice,
+    Visibility, codec,
 };
 use sightline_scene::generate::{SceneKind, SceneParams, generate};
 use sightline_scene::{MAX_COORDINATE, Object, Scene, Triangle};
@@ -58,7 +59,12 @@ fn sampling(sampler: Sampler) -> Sampling {
 }
 
 fn aggressive(scene: &Scene) -> Method {
-    Method::aggressive(sampling(Sampler::lines(grid(scene))))
+    // Likely triangles can be hidden.
+    Method::Aggressive {
+        sampling: sampling(Sampler::lines(grid(scene))),
+        items: Granularity::Triangles,
+        completion: Completion::Off,
+    }
 }
 
 fn exact(scene: &Scene) -> Method {

@@ -10,8 +10,8 @@ use std::time::Duration;
 use sightline_bake::{BakeError, BakeScene, Control, Crew, Inputs, SoleMember, Watcher};
 use sightline_model::numbers::{MaxError, MinShare, RayCount, TargetError, TriangleBudget};
 use sightline_model::{
-    Adaptive, CellToCell, Completion, Effort, Granularity, GridCells, JobSpec, KnownCells, LineAim,
-    Method, PlannedJob, Sampler, Sampling, Stop, Task, Visibility,
+    Adaptive, CellToCell, Completion, Crediting, Effort, Granularity, GridCells, JobSpec,
+    KnownCells, LineAim, Method, PlannedJob, Sampler, Sampling, Stop, Task, Visibility,
 };
 use sightline_sample::PhaseIndex;
 use sightline_sample::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
@@ -365,6 +365,7 @@ fn crew_can_share_every_kind_of_lines() {
             let sampler = Sampler::Guided {
                 cells,
                 rays,
+                credit: Crediting::default(),
                 time: None,
             };
             Method::aggressive(Sampling::new(sampler)).into()

@@ -13,8 +13,8 @@ use sightline_bake::{BakeScene, Control, Inputs, SoleMember, run};
 use sightline_geometry::predicates::crossed_alone;
 use sightline_model::numbers::TargetError;
 use sightline_model::{
-    CellSet, Effort, GridCells, JobSpec, KnownCells, LineAim, Method, PlannedJob, Sampler,
-    Sampling, Stop, TileOutput, Viewpoints, codec,
+    CellSet, Completion, Effort, Granularity, GridCells, JobSpec, KnownCells, LineAim, Method,
+    PlannedJob, Sampler, Sampling, Stop, TileOutput, Viewpoints, codec,
 };
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
@@ -45,7 +45,12 @@ fn sets(scene: &Arc<Scene>, effort: Option<Effort>, viewpoints: Viewpoints) -> V
     };
     let method = match effort {
         Some(effort) => Method::exact(sampling, effort),
-        None => Method::aggressive(sampling),
+        // Likely triangles can be hidden.
+        None => Method::Aggressive {
+            sampling,
+            items: Granularity::Triangles,
+            completion: Completion::Off,
+        },
     };
     let job = PlannedJob::new(JobSpec::new(scene.digest().0, method)).unwrap();
     let inputs = Inputs::new(&prepared).with_tracer(&backend);

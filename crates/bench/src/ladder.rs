@@ -10,8 +10,10 @@ use serde::Serialize;
 pub enum Sampler {
     /// Sight lines shared by the cells they cross, --target-error 0.1 to 0.00003.
     Lines,
-    /// The baseline: guided rays, --rays 3000 to 4000000 per cell.
+    /// The baseline: guided rays that credit every cell they cross, --rays 500 to 300000 per cell.
     Guided,
+    /// Guided rays of each cell separately, --rays 3000 to 4000000 per cell.
+    GuidedOwn,
     /// Visibility cubes that split every rectangle, --min-distance 2 to 0.25.
     CubesUniform,
     /// Visibility cubes that split rectangles whose corners have different sets (Err), --min-distance 2 to
@@ -46,7 +48,7 @@ pub enum Shows {
 /// The range of parameters of a sampler.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ladder {
-    /// All parameters except the finest of each sampler and the two finest of the baseline.
+    /// All parameters except the finest of each sampler and the two finest of guided rays of each cell.
     Quick,
     /// All parameters.
     Full,
@@ -59,8 +61,10 @@ const TARGET_ERRORS: [&str; 8] = [
 ];
 /// The bounds of `--max-error`. A bound needs many more lines than an expected error of the same value.
 const MAX_ERRORS: [&str; 5] = ["0.03", "0.01", "0.003", "0.001", "0.0003"];
-/// The rays per cell of the sampler guided. The last value costs minutes, which the lowest errors of outdoor
-/// scenes need.
+/// The rays per cell of the sampler guided.
+const SHARED_RAYS: [&str; 6] = ["500", "2000", "8000", "30000", "100000", "300000"];
+/// The rays per cell of the sampler guided if each cell has separate rays. The last value costs minutes,
+/// which the lowest errors of outdoor scenes need.
 const RAYS: [&str; 6] = ["3000", "12500", "50000", "200000", "1000000", "4000000"];
 /// The minimum distances of cubes, in cell sizes.
 const DISTANCES: [&str; 4] = ["2", "1", "0.5", "0.25"];
@@ -84,9 +88,10 @@ pub struct Rung {
 impl Sampler {
     /// The samplers that are measured if the options name none. The other samplers compute a bound, or need
     /// minutes per point.
-    pub const DEFAULT: [Self; 6] = [
+    pub const DEFAULT: [Self; 7] = [
         Self::Lines,
         Self::Guided,
+        Self::GuidedOwn,
         Self::CubesUniform,
         Self::CubesErr,
         Self::CubesErr1,
@@ -98,6 +103,7 @@ impl Sampler {
         match self {
             Self::Lines => "lines",
             Self::Guided => "guided",
+            Self::GuidedOwn => "guided-own",
             Self::CubesUniform => "cubes-uniform",
             Self::CubesErr => "cubes-err",
             Self::CubesErr1 => "cubes-err1",
@@ -127,7 +133,13 @@ impl Sampler {
                 "--target-error",
                 &TARGET_ERRORS,
             ),
-            Self::Guided => (&["--sampler", "guided"], &[], "--rays", &RAYS),
+            Self::Guided => (&["--sampler", "guided"], &[], "--rays", &SHARED_RAYS),
+            Self::GuidedOwn => (
+                &["--sampler", "guided"],
+                &["--credit", "own"],
+                "--rays",
+                &RAYS,
+            ),
             Self::CubesUniform => (
                 &cubes,
                 &["--error-measure", "uniform"],
@@ -175,7 +187,7 @@ impl Sampler {
     /// Returns the number of a sampler's points that a ladder contains.
     fn taken(self, ladder: Ladder, all: usize) -> usize {
         match ladder {
-            Ladder::Quick => all - if self == Self::Guided { 2 } else { 1 },
+            Ladder::Quick => all - if self == Self::GuidedOwn { 2 } else { 1 },
             Ladder::Full => all,
         }
     }
@@ -202,7 +214,7 @@ mod tests {
     fn quick_is_full_without_the_finest_points() {
         for &sampler in Sampler::value_variants() {
             let (quick, full) = (sampler.rungs(Ladder::Quick), sampler.rungs(Ladder::Full));
-            let left_out = if sampler == Sampler::Guided { 2 } else { 1 };
+            let left_out = if sampler == Sampler::GuidedOwn { 2 } else { 1 };
             assert_eq!(full.len() - quick.len(), left_out, "{}", sampler.name());
             assert_eq!(quick, full[..quick.len()], "{}", sampler.name());
         }

@@ -39,6 +39,7 @@ pub fn mark(sampler: Sampler, x: f64, y: f64, filled: f64) -> String {
             );
         }
         Sampler::Guided => "M-3.4,-3.4h6.8v6.8h-6.8z",
+        Sampler::GuidedOwn => "M-4.2,-4.2L4.2,4.2M-4.2,4.2L4.2,-4.2",
         Sampler::CubesUniform => "M-4,0h8M0,-4v8",
         Sampler::CubesErr => "M0,-4.4l4,7.2h-8z",
         Sampler::CubesErr1 => "M0,4.4l4,-7.2h-8z",

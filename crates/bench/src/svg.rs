@@ -16,12 +16,13 @@ const PANEL: [f64; 2] = [LEFT + PLOT[0] + 20.0, ABOVE + PLOT[1] + 54.0];
 const ENTRY: [f64; 2] = [118.0, 20.0];
 
 /// The colours of background, text and lines, then of the samplers: first on light pages, then on dark ones.
-const COLOURS: [(&str, &str, &str); 12] = [
+const COLOURS: [(&str, &str, &str); 13] = [
     ("paper", "#ffffff", "#15171c"),
     ("ink", "#24272e", "#d9dce3"),
     ("grid", "#d8dbe2", "#363b46"),
     ("lines", "#0b63b5", "#6db6ff"),
     ("guided", "#c74e00", "#ff9f5a"),
+    ("guided-own", "#8a6d3b", "#d3b57e"),
     ("cubes-uniform", "#6b6f78", "#a9afbc"),
     ("cubes-err", "#1f7d3a", "#63cf86"),
     ("cubes-err1", "#8343ad", "#cb9df0"),

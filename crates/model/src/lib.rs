@@ -53,8 +53,8 @@ pub use job::cells::{
 };
 pub use job::message::{USUAL_DEPTH, USUAL_GRID};
 pub use job::names::{
-    CellToCell, Completion, Effort, ErrorMeasure, Granularity, MethodName, NO_PROFILE, NamedValue,
-    SamplerName, SupersetChoice, TracerChoice, Up,
+    CellToCell, Completion, Crediting, Effort, ErrorMeasure, Granularity, MethodName, NO_PROFILE,
+    NamedValue, SamplerName, SupersetChoice, TracerChoice, Up,
 };
 pub use job::numbers;
 pub use job::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};

@@ -165,7 +165,7 @@ const ROWS: &[Row] = &[
     // 0 is the name of an unknown axis, as in all enums of proto3 without a default.
     row("visibility.up", 1.0, None, None, lines),
     row("visibility.aggressive.items", 0.0, None, Some(0.0), lines),
-    row("visibility.aggressive.completion", 0.0, None, Some(0.0), lines),
+    row("visibility.aggressive.completion", 0.0, None, Some(1.0), lines),
     row("visibility.exact.effort", 0.0, None, Some(0.0), exact),
     row("visibility.exact.certificates", 0.0, None, Some(0.0), exact),
     row("visibility.exact.sampling.lines.grid.tile_cells", 1.0, Some(0.0), Some(8.0), exact),
@@ -185,6 +185,7 @@ const ROWS: &[Row] = &[
     row("visibility.aggressive.sampling.lines.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), adaptive),
     row("visibility.aggressive.sampling.cubes.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), deep_cubes),
     row("visibility.aggressive.sampling.guided.rays", 1.0, Some(0.0), Some(200_000.0), guided),
+    row("visibility.aggressive.sampling.guided.crediting", 0.0, None, Some(0.0), guided),
     row("visibility.aggressive.sampling.guided.time_budget_ms", 1.0, Some(0.0), None, guided),
     row("visibility.aggressive.sampling.cubes.grid.x", 1.0, Some(0.0), Some(8.0), cubes),
     row("visibility.aggressive.sampling.cubes.grid.y", 1.0, Some(0.0), Some(8.0), cubes),

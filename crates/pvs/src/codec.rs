@@ -37,16 +37,43 @@ pub fn encode(bounds: &[u32], absolute: bool, out: &mut Vec<u8>) {
         }
         return;
     }
-    let [gaps, runs] = [false, true].map(|of_runs| {
-        let values = || lengths(bounds).filter(move |l| l.1 == of_runs).map(|l| l.0);
-        let order = best_order(values());
-        (order, code_all(values(), order))
+    let (mut gap_lengths, mut run_lengths) = (CodeLengths::default(), CodeLengths::default());
+    each_gap_and_run(bounds, |gap, run| {
+        gap_lengths.add(gap);
+        run_lengths.add(run);
     });
-    out.extend([u8::from(absolute) * ABSOLUTE, gaps.0 as u8, runs.0 as u8]);
+    let (mut gaps, mut runs) = (gap_lengths.writer(), run_lengths.writer());
+    each_gap_and_run(bounds, |gap, run| {
+        gaps.put_code(gap);
+        runs.put_code(run);
+    });
+    out.extend([
+        u8::from(absolute) * ABSOLUTE,
+        gaps.order as u8,
+        runs.order as u8,
+    ]);
+    let (gaps, runs) = (gaps.finish(), runs.finish());
     varint(bounds.len() as u64 / 2, out);
-    varint(gaps.1.len() as u64, out);
-    out.extend(gaps.1);
-    out.extend(runs.1);
+    varint(gaps.len() as u64, out);
+    out.extend(gaps);
+    out.extend(runs);
+}
+
+/// Returns the number of bytes of a set in absolute form, given by its boundaries (see [`crate::runs`]).
+pub fn coded_bytes(bounds: &[u32]) -> u64 {
+    if bounds.is_empty() {
+        return 1;
+    }
+    let (mut gaps, mut runs) = (CodeLengths::default(), CodeLengths::default());
+    each_gap_and_run(bounds, |gap, run| {
+        gaps.add(gap);
+        runs.add(run);
+    });
+    let [gaps, runs] = [gaps, runs].map(|lengths| lengths.best_order().1.div_ceil(8));
+    let mut counts = Vec::new();
+    varint(bounds.len() as u64 / 2, &mut counts);
+    varint(gaps, &mut counts);
+    3 + counts.len() as u64 + gaps + runs
 }
 
 /// Returns true if a coded set is in absolute form.
@@ -99,51 +126,83 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     runs.finish()
 }
 
-/// Returns the numbers to code, each with a flag that is true for runs.
-fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
-    // Boundaries ascend strictly, so only the first gap can be 0; it is coded without subtracting 1.
-    bounds
-        .iter()
-        .enumerate()
-        .map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
+/// Calls `each` with the numbers to code of every gap and the run after it.
+#[inline(always)]
+fn each_gap_and_run(bounds: &[u32], mut each: impl FnMut(u32, u32)) {
+    // The id after the boundary before the gap. Boundaries ascend strictly, so only the first gap can be 0;
+    // it is coded without subtracting 1.
+    let mut from = 0;
+    for run in bounds.chunks_exact(2) {
+        each(run[0] - from, run[1] - run[0] - 1);
+        from = run[1].wrapping_add(1);
+    }
 }
 
-/// Returns the order that codes the numbers in the fewest bits. Of several such orders, returns the lowest.
-fn best_order(values: impl Iterator<Item = u32>) -> u32 {
-    // The number of values with `length` bits and `ones` leading ones, which determine the length of every
-    // code.
-    let mut counts = [[0u64; 33]; 33];
-    for v in values {
-        let length = 32 - v.leading_zeros();
-        let ones = v.checked_shl(32 - length).unwrap_or(0).leading_ones();
-        counts[length as usize][ones as usize] += 1;
+/// The numbers of bits of numbers, which determine the lengths of their codes for every order.
+struct CodeLengths {
+    /// The number of numbers with each number of bits.
+    bits: [u32; 33],
+    /// The number of numbers with each number of bits below the leading ones.
+    below_ones: [u32; 33],
+}
+
+impl Default for CodeLengths {
+    fn default() -> Self {
+        Self {
+            bits: [0; 33],
+            below_ones: [0; 33],
+        }
     }
-    // Only few of these pairs occur.
-    let kinds: Vec<(u32, u32, u64)> = (0..33u32)
-        .flat_map(|l| (0..=l).map(move |o| (l, o)))
-        .map(|(l, o)| (l, o, counts[l as usize][o as usize]))
-        .filter(|kind| kind.2 > 0)
-        .collect();
-    let bits = |k: u32| -> u64 {
-        let code = |length: u32, ones: u32| {
-            // n = ⌊log₂(v + 2ᵏ)⌋: the sum carries into a new bit when all bits from k up are ones.
-            let n = if k >= length {
-                k
-            } else {
-                length - u32::from(k < length - ones)
-            };
-            u64::from(2 * n - k + 1)
-        };
-        kinds
-            .iter()
-            .map(|(length, ones, count)| count * code(*length, *ones))
-            .sum()
-    };
-    // From the maximum length on, all orders give codes of k + 1 bits.
-    let longest = kinds.last().map_or(0, |kind| kind.0);
-    (0..=longest.min(MAX_ORDER))
-        .min_by_key(|&k| bits(k))
-        .unwrap_or(0)
+}
+
+impl CodeLengths {
+    #[inline(always)]
+    fn add(&mut self, number: u32) {
+        let bits = 32 - number.leading_zeros();
+        // The complement of the number within its bits has leading zeros where the number has leading ones.
+        let below = 32 - (!number & ((1u64 << bits) - 1) as u32).leading_zeros();
+        self.bits[bits as usize] += 1;
+        self.below_ones[below as usize] += 1;
+    }
+
+    /// Returns the order that codes the numbers in the fewest bits, and the number of these bits. Of several
+    /// such orders, returns the lowest.
+    fn best_order(&self) -> (u32, u64) {
+        let all: u64 = self.bits.iter().map(|n| u64::from(*n)).sum();
+        // From the longest number on, all orders give codes of k + 1 bits.
+        let longest = self.bits.iter().rposition(|n| *n > 0).unwrap_or(0) as u64;
+        // The numbers of more than k bits, twice the sum of their bits, and the numbers of more than k bits
+        // below the leading ones. Adding 2ᵏ carries into a new bit for the others of more than k bits.
+        let (mut longer, mut twice, mut not_carrying) = (0u64, 0u64, 0u64);
+        let mut best = (0, u64::MAX);
+        for k in (0..=longest.min(u64::from(MAX_ORDER))).rev() {
+            let above = k as usize + 1;
+            longer += u64::from(self.bits[above]);
+            twice += 2 * (k + 1) * u64::from(self.bits[above]);
+            not_carrying += u64::from(self.below_ones[above]);
+            // A code has 2n − k + 1 bits with n = ⌊log₂(v + 2ᵏ)⌋. For a number v of b bits, n is k if b ≤ k.
+            // Otherwise n is b if all bits from k up are ones, because the sum carries into a new bit, and
+            // b − 1 if not.
+            let bits = twice - longer * k + longer - 2 * not_carrying + (all - longer) * (k + 1);
+            if bits <= best.1 {
+                best = (k as u32, bits);
+            }
+        }
+        best
+    }
+
+    /// Creates a writer of the codes of the numbers.
+    fn writer(&self) -> CodeWriter {
+        let (order, bits) = self.best_order();
+        CodeWriter {
+            order,
+            bits: BitWriter {
+                out: Vec::with_capacity(bits.div_ceil(8) as usize),
+                buffer: 0,
+                held: 0,
+            },
+        }
+    }
 }
 
 #[cfg(test)]
@@ -161,30 +220,37 @@ mod order_tests {
                 logarithms.map(|n| u64::from(2 * n - k + 1)).sum()
             };
             let best = (0..=MAX_ORDER).min_by_key(|k| bits(*k)).unwrap();
-            prop_assert_eq!(best_order(values.iter().copied()), best);
+            let mut lengths = CodeLengths::default();
+            values.iter().for_each(|v| lengths.add(*v));
+            prop_assert_eq!(lengths.best_order(), (best, bits(best)));
         }
     }
 }
 
-/// Codes all numbers with order `k`, one after another.
-fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
-    let mut bits = BitWriter {
-        out: Vec::new(),
-        buffer: 0,
-        held: 0,
-    };
-    for value in values {
-        let w = u64::from(value) + (1 << k);
+/// A writer of codes of one order, one after another.
+struct CodeWriter {
+    order: u32,
+    bits: BitWriter,
+}
+
+impl CodeWriter {
+    #[inline(always)]
+    fn put_code(&mut self, number: u32) {
+        let k = self.order;
+        let w = u64::from(number) + (1 << k);
         let n = w.ilog2();
         let (zeros, low) = (n - k, w & ((1 << n) - 1));
         if zeros + 1 + n <= MOST_PUT {
-            bits.put((low << 1 | 1) << zeros, zeros + 1 + n);
+            self.bits.put((low << 1 | 1) << zeros, zeros + 1 + n);
         } else {
-            bits.put(1 << zeros, zeros + 1);
-            bits.put(low, n);
+            self.bits.put(1 << zeros, zeros + 1);
+            self.bits.put(low, n);
         }
     }
-    bits.finish()
+
+    fn finish(self) -> Vec<u8> {
+        self.bits.finish()
+    }
 }
 
 /// Appends a number as LEB128: 7 bits per byte, the least significant first. The top bit is set in all bytes
@@ -219,6 +285,7 @@ struct BitWriter {
 
 impl BitWriter {
     /// Appends the low `count` ≤ [`MOST_PUT`] bits of `value`. The other bits of `value` must be 0.
+    #[inline(always)]
     fn put(&mut self, value: u64, count: u32) {
         self.buffer |= value << self.held;
         self.held += count;
@@ -342,6 +409,9 @@ mod tests {
         decode(&bytes, limit, |a, b| back.extend([a, b])).unwrap();
         assert_eq!(back, bounds);
         assert_eq!(is_absolute(&bytes), absolute);
+        if absolute {
+            assert_eq!(coded_bytes(bounds), bytes.len() as u64);
+        }
     }
 
     #[test]

@@ -186,7 +186,8 @@ impl Work<'_> {
     }
 
     fn decoded(&self, coded: &[u8]) -> Result<Vec<u32>, PvsError> {
-        let mut bounds = Vec::new();
+        // A run has about a byte.
+        let mut bounds = Vec::with_capacity(2 * coded.len());
         codec::decode(coded, self.triangles, |start, end| {
             bounds.extend([start, end])
         })

@@ -85,6 +85,7 @@ pub mod runs;
 pub mod tree;
 
 pub use builder::{Builder, Cell, Header, Stats};
+pub use codec::coded_bytes;
 pub use columns::Column;
 pub use contributions::Contribution;
 pub use error::PvsError;

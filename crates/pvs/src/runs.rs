@@ -17,6 +17,25 @@ pub fn from_ids(ids: &[u32]) -> Vec<u32> {
     bounds
 }
 
+/// Returns the boundaries of the runs of ones, where bit i of word w is the id 64·w + i.
+pub fn from_bits(bits: &[u64]) -> Vec<u32> {
+    let mut bounds = Vec::new();
+    let mut before = 0;
+    for (base, word) in (0..).step_by(64).zip(bits) {
+        // The bits that differ from the bit before.
+        let mut changes = word ^ (word << 1 | before);
+        before = word >> 63;
+        while changes != 0 {
+            bounds.push(base + changes.trailing_zeros());
+            changes &= changes - 1;
+        }
+    }
+    if before == 1 {
+        bounds.push(bits.len() as u32 * 64);
+    }
+    bounds
+}
+
 /// Computes Boolean combinations of up to 32 sets in one sweep over their boundaries. Between two boundaries,
 /// all ids are in the same inputs. Bit i of the argument of `f` is set if the ids are in input i. Bit o of
 /// the result of `f` adds the ids to output o. `f(0)` must be 0.
@@ -24,7 +43,12 @@ pub fn sweep<const I: usize, const O: usize>(
     inputs: [&[u32]; I],
     f: impl Fn(u32) -> u32,
 ) -> [Vec<u32>; O] {
+    // Each step writes to all outputs, and only the length of an output depends on the data. Branches on the
+    // data would be wrong half of the time.
+    let most = inputs.iter().map(|input| input.len()).sum();
     let mut outputs = [const { Vec::new() }; O];
+    outputs.iter_mut().for_each(|output| output.resize(most, 0));
+    let mut lengths = [0usize; O];
     let mut next = [0usize; I];
     // The next boundary of each input, or at the end of an input a value above all boundaries.
     let head = |i: usize, next: usize| inputs[i].get(next).map_or(u64::MAX, |at| u64::from(*at));
@@ -36,19 +60,20 @@ pub fn sweep<const I: usize, const O: usize>(
             break;
         }
         for i in 0..I {
-            if heads[i] == at {
-                inside ^= 1 << i;
-                next[i] += 1;
-                heads[i] = head(i, next[i]);
-            }
+            let here = heads[i] == at;
+            inside ^= u32::from(here) << i;
+            next[i] += usize::from(here);
+            heads[i] = head(i, next[i]);
         }
         let wanted = f(inside);
         for (o, output) in outputs.iter_mut().enumerate() {
-            if (wanted ^ given) >> o & 1 == 1 {
-                output.push(at as u32);
-            }
+            output[lengths[o]] = at as u32;
+            lengths[o] += ((wanted ^ given) >> o & 1) as usize;
         }
         given = wanted;
+    }
+    for (output, length) in outputs.iter_mut().zip(lengths) {
+        output.truncate(length);
     }
     outputs
 }
@@ -67,6 +92,13 @@ mod tests {
     fn adjacent_ids_join_into_runs() {
         assert_eq!(from_ids(&[]), [0u32; 0]);
         assert_eq!(from_ids(&[0, 1, 2, 5, 7, 8]), [0, 3, 5, 6, 7, 9]);
+    }
+
+    #[test]
+    fn bits_have_boundaries_of_their_ids() {
+        assert_eq!(from_bits(&[]), [0u32; 0]);
+        assert_eq!(from_bits(&[0b1101, 0]), [0, 1, 2, 4]);
+        assert_eq!(from_bits(&[1 << 63, 1, u64::MAX]), [63, 65, 128, 192]);
     }
 
     #[test]

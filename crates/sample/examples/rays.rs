@@ -1,5 +1,6 @@
 //! Counts the rays of a bake by kind, by round and by the knowledge about a candidate. For the hits of
-//! held-out lines, the example counts the kinds of line that could have found the hit triangles.
+//! held-out lines, the example counts the kinds of line that could have found the hit triangles, and how the
+//! misses of a cell are distributed over directions.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sample --example rays -- SCENE 8x8x8 0.0003
@@ -29,10 +30,12 @@ use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
 use sightline_trace::sight::{Passed, SightLineTracer, least_step};
 use sightline_trace::surface::Surface;
-use sightline_trace::{CubeSpec, LineSet, Strata, Tracer as _};
+use sightline_trace::{CubeSpec, LineSet, Strata, Tracer as _, TracerError};
 
 /// The number of held-out lines per cell.
 const HELD: u64 = 20_000;
+/// The number of bins of directions along an edge of a cube's face: 96 bins in total.
+const BINS: usize = 4;
 /// The name of the stream of random numbers for held-out lines.
 const STREAM: u64 = 77;
 
@@ -227,6 +230,29 @@ fn print_classes(classes: &Classes) {
 /// the triangle's seen neighbours, and the number of attempts at the triangle.
 type Missed = [u32; 3];
 
+/// The numbers of lines by the facts about the met triangle.
+type MissedCounts = BTreeMap<Missed, u64>;
+
+/// The misses of a cell by bin of directions, of every second held-out line and of the other lines.
+type Directions = [[u64; 6 * BINS * BINS]; 2];
+
+/// Returns the fraction of the misses of the second half of the lines that are in the fifth of the bins with
+/// the most misses of the first half, over all cells. The misses of the first half would overestimate the
+/// fraction.
+fn share_of_fifth(cells: &[Directions]) -> f64 {
+    let (mut inside, mut all) = (0, 0);
+    for [first, second] in cells {
+        let mut bins: Vec<usize> = (0..first.len()).collect();
+        bins.sort_by_key(|bin| std::cmp::Reverse(first[*bin]));
+        inside += bins[..bins.len() / 5]
+            .iter()
+            .map(|bin| second[*bin])
+            .sum::<u64>();
+        all += second.iter().sum::<u64>();
+    }
+    inside as f64 / (all as f64).max(1.0)
+}
+
 fn print_missed(
     block: &Block<'_>,
     scene: &sightline_scene::Scene,
@@ -237,7 +263,7 @@ fn print_missed(
     let grid = block.grid();
     let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();
-    let found: Result<Vec<BTreeMap<Missed, u64>>, sightline_trace::TracerError> = cells
+    let found: Result<Vec<(MissedCounts, Directions)>, TracerError> = cells
         .par_iter()
         .enumerate()
         .map(|(cell, at)| {
@@ -245,6 +271,8 @@ fn print_missed(
             let mut random = Hashed::new(&[STREAM, cell as u64]);
             let (lo, size) = grid.cell_box(*at);
             let mut missed = BTreeMap::new();
+            let mut directions = [[0; 6 * BINS * BINS]; 2];
+            let mut bins = Vec::new();
             let mut packets = Vec::new();
             for k in 0..HELD {
                 if k.is_multiple_of(LANES as u64) {
@@ -253,16 +281,22 @@ fn print_missed(
                 let origin = lo + size * random.point();
                 let [forward, right, up] = face_basis((k % 6) as u32);
                 let (x, y) = (2.0 * random.unit() - 1.0, 2.0 * random.unit() - 1.0);
+                let [column, row] =
+                    [x, y].map(|at| ((at * 0.5 + 0.5) * BINS as f32) as usize % BINS);
+                bins.push(((k % 6) as usize * BINS + row) * BINS + column);
                 if let Some(last) = packets.last_mut() {
                     last.push(origin.to_array(), (forward + right * x + up * y).to_array());
                 }
             }
             sight.trace_each(&mut packets, &mut Passed::default(), step)?;
-            for packet in &packets {
-                for triangle in packet.triangle[..packet.count].iter().copied() {
+            for (number, packet) in packets.iter().enumerate() {
+                for (lane, triangle) in packet.triangle[..packet.count].iter().copied().enumerate()
+                {
                     if triangle == SKY || block.bits().seen(triangle, slot) {
                         continue;
                     }
+                    let line = number * LANES + lane;
+                    directions[line / 6 % 2][bins[line]] += 1;
                     let faces = (0..6usize).filter(|face| {
                         let mut next = *at;
                         let axis = face / 2;
@@ -286,11 +320,12 @@ fn print_missed(
                         .or_default() += 1;
                 }
             }
-            Ok(missed)
+            Ok((missed, directions))
         })
         .collect();
     let mut all: BTreeMap<Missed, u64> = BTreeMap::new();
-    found?
+    let (found, directions): (Vec<_>, Vec<_>) = found?.into_iter().unzip();
+    found
         .into_iter()
         .flatten()
         .for_each(|(key, n)| *all.entry(key).or_default() += n);
@@ -299,6 +334,10 @@ fn print_missed(
     println!(
         "held-out lines: {sum} of {lines} met a triangle outside the set, {:.5} %",
         100.0 * sum as f64 / lines as f64
+    );
+    println!(
+        "the fifth of a cell's directions with the most misses has {:.0} % of the misses of other lines",
+        100.0 * share_of_fifth(&directions)
     );
     for (k, by) in [
         "faces through which a neighbour sees it",

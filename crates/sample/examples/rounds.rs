@@ -11,6 +11,8 @@
 //! lines from each cell that meet a triangle that the cell lacks, traced by the same backend. The last column
 //! has the number of times that the host waited for the device, and the seconds of waiting.
 //!
+//! A number of at least 1 is not a target error, but the rays per cell of the sampler guided.
+//!
 //! `--adapter NAME` selects another adapter; `--no-cpu` and `--no-gpu` skip one of the two, and `--embree`
 //! adds Embree. `--complete` completes the sets with likely triangles: these are not missed, and the column
 //! after the error has their number as a fraction of the seen triangles. `--profile` adds the time of each
@@ -199,7 +201,11 @@ fn sample(
     if completes {
         block.enable_completion(&[]);
     }
-    block.sample(target, &[], Tolerance::Raised)?;
+    if target < 1.0 {
+        block.sample(target, &[], Tolerance::Raised)?;
+    } else {
+        block.sample_guided_shared(target as u64)?;
+    }
     block.complete_all();
     let seconds = start.elapsed().as_secs_f64();
     let mut rays = [0; 4];

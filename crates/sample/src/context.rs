@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use glam::Vec3;
-use sightline_model::{CubeParams, Granularity, LineAim, Sampler, Stop};
+use sightline_model::{Crediting, CubeParams, Granularity, LineAim, Sampler, Stop};
 use sightline_numbers::Aabb;
 use sightline_viewcells::{Division, Lattice, PartMask};
 
@@ -33,10 +33,12 @@ pub enum LineSampler {
         /// The condition that a finished cell meets in addition to `error`.
         stop: Stop,
     },
-    /// Guided rays of each cell, which cells do not share.
+    /// Guided rays.
     Guided {
         /// The number of rays of each cell.
         rays: u64,
+        /// The cells that a ray credits.
+        credit: Crediting,
     },
 }
 
@@ -53,7 +55,10 @@ impl From<&Sampler> for TileSampler {
                     stop: Stop::Expected,
                 }),
             },
-            Sampler::Guided { rays, .. } => Self::Lines(LineSampler::Guided { rays: rays.get() }),
+            Sampler::Guided { rays, credit, .. } => Self::Lines(LineSampler::Guided {
+                rays: rays.get(),
+                credit: *credit,
+            }),
             Sampler::Cubes { params, .. } => Self::Cubes(*params),
         }
     }

@@ -114,9 +114,7 @@ fn with_block<R>(
 }
 
 fn sets(block: &Block<'_>) -> Vec<Vec<u32>> {
-    (0..block.grid().words() as u32)
-        .flat_map(|w| block.bits().columns(w))
-        .collect()
+    block.bits().columns()
 }
 
 /// Returns the likely triangles of each cell.
@@ -167,6 +165,44 @@ fn sets_do_not_depend_on_threads() {
     );
     assert_eq!(one, run(2));
     assert_eq!(one, run(5));
+}
+
+/// Checks that guided rays do not depend on threads, and find more if every crossed cell is credited.
+#[test]
+fn guided_rays_share_segments() {
+    let params = SceneParams {
+        triangles: Some(8000),
+        ..SceneParams::default()
+    };
+    let scene = Arc::new(generate::generate(SceneKind::Rooms, &params).unwrap());
+    let backend = backend(&scene);
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let b = scene.bounds();
+    let run = |threads: usize, shared: bool| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            with_block(&scene, &sight, [b.min, b.max], [6, 2, 6], 3, |block| {
+                match shared {
+                    true => block.sample_guided_shared(2000).unwrap(),
+                    false => block.sample_guided(2000).unwrap(),
+                }
+                (sets(block), block.stats().to_vec())
+            })
+        })
+    };
+    let (shared, alone) = (run(1, true), run(1, false));
+    assert_eq!(shared, run(5, true));
+    let count = |sets: &[Vec<u32>]| sets.iter().map(Vec::len).sum::<usize>();
+    assert!(
+        count(&shared.0) > 3 * count(&alone.0) / 2,
+        "{} triangles with shared segments, {} without",
+        count(&shared.0),
+        count(&alone.0)
+    );
+    assert!(shared.1.iter().all(|s| !s.unfinished));
 }
 
 #[test]
@@ -354,14 +390,19 @@ fn lines_do_not_pass_closed_wall() {
         let sight =
             SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
         let view = [at(-view, -view, -view), at(view, view, view)];
-        with_block(&scene, &sight, view, [3, 2, 2], 5, |block| {
-            block.sample(1e-4, &[], Tolerance::Equal).unwrap();
-            let outside: usize = sets(block)
-                .iter()
-                .map(|s| s.iter().filter(|t| **t >= inside).count())
-                .sum();
-            assert_eq!(outside, 0, "scale {scale}, offset {offset}");
-        });
+        for guided in [false, true] {
+            with_block(&scene, &sight, view, [3, 2, 2], 5, |block| {
+                match guided {
+                    false => block.sample(1e-4, &[], Tolerance::Equal).unwrap(),
+                    true => block.sample_guided_shared(20_000).unwrap(),
+                }
+                let outside: usize = sets(block)
+                    .iter()
+                    .map(|s| s.iter().filter(|t| **t >= inside).count())
+                    .sum();
+                assert_eq!(outside, 0, "scale {scale}, offset {offset}, {guided}");
+            });
+        }
     }
 }
 

@@ -14,7 +14,9 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use sightline_model::numbers::{MaxError, Resolution};
-use sightline_model::{CellSets, CubeParams, Granularity, Pack, Stop, TileOutput, codec};
+use sightline_model::{
+    CellSets, Crediting, CubeParams, Granularity, Pack, Stop, TileOutput, codec,
+};
 use sightline_sample::crew::SoleMember;
 use sightline_sample::{JobContext, LineSampler, TileSampler, Unwatched, tile};
 use sightline_scene::overlap::triangle_touches_box;
@@ -161,7 +163,10 @@ fn samplers() -> Vec<TileSampler> {
     };
     vec![
         TileSampler::Lines(lines(Stop::Expected)),
-        TileSampler::Lines(LineSampler::Guided { rays: 20_000 }),
+        TileSampler::Lines(LineSampler::Guided {
+            rays: 20_000,
+            credit: Crediting::All,
+        }),
         TileSampler::Cubes(cubes),
         TileSampler::Lines(lines(bound)),
     ]

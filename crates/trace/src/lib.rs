@@ -53,8 +53,10 @@
 mod bvh;
 pub mod cpu;
 pub mod cube;
+#[cfg(not(target_family = "wasm"))]
 pub mod embree;
 mod error;
+#[cfg(not(target_family = "wasm"))]
 pub mod gpu;
 pub mod layers;
 pub mod lines;

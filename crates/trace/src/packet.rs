@@ -9,7 +9,7 @@ pub const LANES: usize = 16;
 
 /// The overlap of the two halves of a line, as a fraction of the origin's largest coordinate: four units in
 /// the last place.
-const OVERLAP: f32 = 1.0 / (1 << 21) as f32;
+pub(crate) const OVERLAP: f32 = 1.0 / (1 << 21) as f32;
 
 /// Sixteen rays of roughly one direction, and the nearest triangle that each ray meets. Arrays are by axis,
 /// then lane.

@@ -8,6 +8,8 @@
 //!
 //! - `lattice`, `rect`, `cell`: [`Lattice`], the integer positions; [`Rect`] and [`CellBox`] on the lattice.
 //! - `division`, `kd_tree`: [`Division`], a regular grid, an adaptive tree, or a given [`KdTree`].
+//! - `cheapest`: [`CheapestTrees`](cheapest::CheapestTrees), the trees over a fine grid with the least cost
+//!   for their size.
 //! - `plan`: [`Plan`] and its [`Tile`]s, with the tiles whose samples each tile needs.
 //! - `part_mask`, `region`: [`PartMask`] and [`Region`], the parts of cells and of space with viewpoints.
 //!
@@ -33,6 +35,7 @@
 //! ```
 
 pub mod cell;
+pub mod cheapest;
 pub mod division;
 pub mod kd_tree;
 pub mod lattice;

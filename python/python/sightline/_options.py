@@ -48,6 +48,7 @@ class JobOptions(KindOptions, total=False):
     time_budget: Union[float, str]
     block_cells: int
     rays: int
+    credit: str
     granularity: str
     complete: str
     min_share: float
@@ -181,7 +182,7 @@ _CONVERT: Dict[str, Convert] = {
         _number,
     ),
     **dict.fromkeys(
-        ("method", "sampler", "granularity", "complete", "cell_to_cell", "up", "error_measure", "superset", "backend")
+        ("method", "sampler", "credit", "granularity", "complete", "cell_to_cell", "up", "error_measure", "superset", "backend")
         + ("name", "user", "request_id", "traces"),
         _word,
     ),

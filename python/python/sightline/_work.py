@@ -43,7 +43,7 @@ def bake(
       view_box=(x0, y0, z0, x1, y1, z1), or several; reachable_from=(x, y, z); viewpoints=array or file; view_mesh=file
       target_error=0.0001; max_error; min_share; time_budget=30 (seconds) or "5m"
       method="aggressive", "exact", "verified" or "portals"; certificates=True
-      granularity="triangles", "clusters" or "objects"; complete="auto"; contributions=True; far; cell_to_cell="on"
+      granularity="triangles", "clusters" or "objects"; complete="off"; contributions=True; far; cell_to_cell="on"
       see_through="glass*", occluder_only, moving, doors, opaque; alpha_textures; cull_back_faces
       backend="auto", "cpu", "gpu" or "embree"; seed=0; sampler
 

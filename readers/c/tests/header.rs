@@ -4,7 +4,7 @@
 
 /// Writes `include/sightline_pvs.h` when `SIGHTLINE_WRITE_HEADER` is set, and compares it otherwise.
 #[test]
-fn the_header_is_current() {
+fn header_matches_library() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).unwrap();
     let made = cbindgen::Builder::new()

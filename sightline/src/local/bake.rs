@@ -189,7 +189,8 @@ impl LocalBake<'_> {
             if answer.existing {
                 let message = job.message();
                 self.note(format!(
-                    "continuing: {} of {} tiles are done",
+                    "continuing: {} of {} tiles are done; the others continue from their last \
+                     finished phase",
                     message.tiles_done, message.tiles_total
                 ));
             }

@@ -106,7 +106,8 @@ pub(super) async fn serve(
 /// Returns the text for an interrupted job, whose tiles are in a data directory.
 pub(super) fn interrupted(data_dir: &Path) -> String {
     format!(
-        "interrupted; finished tiles are stored in {}: the same command continues from there",
+        "interrupted; finished tiles and finished phases of the others are stored in {}: the same command \
+         continues from there",
         data_dir.display()
     )
 }

@@ -5,7 +5,8 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use sightline_model::{
-    CellToCell, Completion, ErrorMeasure, Granularity, MethodName, SamplerName, SupersetChoice,
+    CellToCell, Completion, Crediting, ErrorMeasure, Granularity, MethodName, SamplerName,
+    SupersetChoice,
 };
 
 #[cfg(feature = "clap")]
@@ -112,16 +113,21 @@ pub struct JobOptions {
     /// Rays per cell of the sampler guided. Default: 200000.
     #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
     pub rays: Option<u64>,
+    /// The cells that a ray of the sampler guided credits with the triangles that it meets. all: every cell
+    /// that the ray crosses before its hit; newly found triangles guide rays from these cells. own: only the
+    /// cell of the ray. With --far or one-sided triangles, always own. Default: all.
+    #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Crediting>()))]
+    pub credit: Option<Crediting>,
     /// The items that the sets name: triangles, clusters (at most 128 neighbouring triangles of an object) or
     /// objects. With clusters or objects, the sampler searches for fewer items, the tables and the file are
     /// smaller, and a cell draws a whole item when it sees a part of it. Needs --method aggressive. Default:
     /// triangles.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Granularity>()))]
     pub granularity: Option<Granularity>,
-    /// Add likely triangles to the sets, as undecided. auto: the triangles on which missed sight lines most
-    /// likely end, at most one for 20 seen ones, so that a target error needs less time. off: a set contains
-    /// only triangles that a sight line met, or that meet the cell. Needs --method aggressive, --sampler
-    /// lines and no --min-share. Default: off.
+    /// The completion of the sets with likely triangles, as undecided. auto: the triangles on which missed
+    /// sight lines most likely end, at most one for 20 seen ones, so that a target error needs less time.
+    /// off: a set contains only triangles that a sight line met, or that meet the cell. Needs --method
+    /// aggressive, --sampler lines and no --min-share. Default: auto.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<Completion>()))]
     pub complete: Option<Completion>,
     /// Search until the sampler finds each item that covers at least the share S of the sight lines from a

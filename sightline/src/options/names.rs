@@ -1,7 +1,7 @@
 //! The names of the options, as the command line spells them.
 
 /// The names of all options, without dashes.
-const NAMES: [&str; 34] = [
+const NAMES: [&str; 35] = [
     "method",
     "certificates",
     "cells",
@@ -14,6 +14,7 @@ const NAMES: [&str; 34] = [
     "time-budget",
     "block-cells",
     "rays",
+    "credit",
     "granularity",
     "complete",
     "min-share",

@@ -177,7 +177,7 @@ impl JobOptions {
         }
         // Views from above need a view box without triangles, but most such boxes are mistakes about units or
         // axes.
-        self.viewpoints.warn_of_empty(scene, observer);
+        self.viewpoints.warn_of_bounds(scene, observer);
         Ok(spec)
     }
 
@@ -279,6 +279,7 @@ impl JobOptions {
             (SamplerName::Guided, _) => Sampler::Guided {
                 cells: cells.known(tile(TileCells::default()))?,
                 rays: numbers.rays,
+                credit: self.credit.unwrap_or_default(),
                 time: numbers.time,
             },
             (SamplerName::Cubes, budget) => Sampler::Cubes {

@@ -127,6 +127,7 @@ impl JobOptions {
             ("--time-budget", self.time_budget.is_some()),
             ("--target-error", self.target_error.is_some()),
             ("--rays", self.rays.is_some()),
+            ("--credit", self.credit.is_some()),
             ("--block-cells", self.block_cells.is_some()),
             ("--eye-heights", places.eye_heights.is_some()),
             ("--reach", places.reach.is_some()),
@@ -195,7 +196,9 @@ impl JobOptions {
                     }
                 }
             }
-            SamplerName::Guided => given.take(&["--rays", "--time-budget", "--cells walls:N"]),
+            SamplerName::Guided => {
+                given.take(&["--rays", "--credit", "--time-budget", "--cells walls:N"]);
+            }
             SamplerName::Cubes => {
                 given.take(&["--triangle-budget"]);
                 given.take(&self.cubes.all().map(|(option, _)| option));

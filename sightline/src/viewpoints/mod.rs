@@ -1,5 +1,6 @@
 //! Viewpoints: the conversion from the options of a job to the marks of its cells.
 
+mod outliers;
 mod walls;
 
 use std::io::BufReader;
@@ -301,8 +302,12 @@ impl ViewpointOptions {
         Ok((out, region))
     }
 
-    /// Prints a warning for each view box that contains no part of the scene.
-    pub(crate) fn warn_of_empty(&self, scene: &Scene, observer: &dyn Observer) {
+    /// Prints a warning for each view box that contains no part of the scene. Without a view box, prints a
+    /// note if few triangles stretch the scene's bounds.
+    pub(crate) fn warn_of_bounds(&self, scene: &Scene, observer: &dyn Observer) {
+        if self.view_box.is_empty() && self.view_mesh.is_none() {
+            outliers::note_outliers(scene, observer);
+        }
         for view_box in &self.view_box {
             let bounds = scene.bounds();
             let holds = |t| overlap::triangle_touches_box(t, view_box);

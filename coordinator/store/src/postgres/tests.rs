@@ -186,12 +186,14 @@ fn take_over_waits_for_transactions_of_previous_leader() {
         return;
     };
     let (old, stale) = leading(&server, "old");
-    begin_job(&stale, 400);
+    // The tiles last until the take-over, also if `psql` starts late.
+    let tiles = 10_000;
+    begin_job(&stale, tiles);
     let stale = &stale;
     std::thread::scope(|scope| {
         let writing = scope.spawn(|| {
             let mut done = 0;
-            for tile in 0..400 {
+            for tile in 0..tiles {
                 match stale.commit_tile(JobId(1), TileIndex(tile), result(1)) {
                     Ok(_) => done += 1,
                     Err(StoreError::Fenced { .. }) => return done,

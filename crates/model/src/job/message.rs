@@ -195,12 +195,18 @@ impl Sampling {
     fn to_message(&self) -> v1::Sampling {
         let sampler = match &self.sampler {
             Sampler::Lines { aim, time } => v1::sampling::Sampler::Lines(lines_message(aim, *time)),
-            Sampler::Guided { cells, rays, time } => v1::sampling::Sampler::Guided(v1::Guided {
+            Sampler::Guided {
+                cells,
+                rays,
+                credit,
+                time,
+            } => v1::sampling::Sampler::Guided(v1::Guided {
                 cells: Some(match cells {
                     KnownCells::Grid(grid) => v1::guided::Cells::Grid(grid.to_message()),
                     KnownCells::Boxes(boxes) => v1::guided::Cells::Boxes(boxes.to_message()),
                 }),
                 rays: written(*rays),
+                crediting: written(*credit),
                 time_budget_ms: time.map(TimeBudget::to_wire),
             }),
             Sampler::Cubes { cells, params } => {
@@ -298,6 +304,7 @@ fn guided(
             None => known_grid(&v1::GridCells::default(), scene, usual)?,
         },
         rays: field(m.rays)?,
+        credit: field(m.crediting)?,
         time: optional(m.time_budget_ms)?,
     })
 }

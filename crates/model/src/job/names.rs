@@ -141,7 +141,7 @@ named_values! {
         Lines = "lines",
         /// Visibility cubes on adaptively split rectangles (Nirenstein and Blake 2004).
         Cubes = "cubes",
-        /// A fixed number of guided rays for each cell separately: the baseline of the benchmarks.
+        /// A fixed number of guided rays for each cell: the baseline of the benchmarks.
         Guided = "guided",
     }
     default Lines
@@ -220,6 +220,17 @@ named_values! {
 }
 
 named_values! {
+    /// The cells that a guided ray credits with the triangles that it meets.
+    Crediting("credit") {
+        /// Every cell that the free segment of the ray crosses.
+        All = "all",
+        /// Only the cell of the ray.
+        Own = "own",
+    }
+    default All
+}
+
+named_values! {
     /// The completion of sampled sets with likely items that no sight line met.
     Completion("complete") {
         /// Only items that a sight line met, or that meet the cell.
@@ -227,7 +238,7 @@ named_values! {
         /// With the sampler lines, likely items as undecided, at most one for 20 seen ones.
         Auto = "auto",
     }
-    default Off
+    default Auto
 }
 
 named_values! {
@@ -269,6 +280,7 @@ on_the_wire!(SupersetChoice as Superset: Auto, On, Off);
 on_the_wire!(ErrorMeasure as ErrorMeasure: Strata, Sets, Pixels, Uniform);
 on_the_wire!(Granularity as Granularity: Triangles, Clusters, Objects);
 on_the_wire!(CellToCell as CellToCell: Auto, On, Off);
+on_the_wire!(Crediting as Crediting: All, Own);
 on_the_wire!(Completion as Completion: Off, Auto);
 on_the_wire!(Effort as Effort: Full, Bounded);
 on_the_wire!(Up as Up: Y, Z);
@@ -306,6 +318,7 @@ mod tests {
         every_number_leads_back::<ErrorMeasure>();
         every_number_leads_back::<Granularity>();
         every_number_leads_back::<CellToCell>();
+        every_number_leads_back::<Crediting>();
         every_number_leads_back::<Completion>();
         every_number_leads_back::<Effort>();
         every_number_leads_back::<Up>();

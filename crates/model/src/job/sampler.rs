@@ -1,7 +1,7 @@
 //! The sampling of cells: a sampler with its cells and parameters.
 
 use super::cells::{Adaptive, AnyCells, CubeCells, KnownCells, MOST_LINE_DEPTH};
-use super::names::{ErrorMeasure, SamplerName, SupersetChoice, TracerChoice};
+use super::names::{Crediting, ErrorMeasure, SamplerName, SupersetChoice, TracerChoice};
 use super::numbers::{
     ErrorThreshold, InteriorThreshold, MaxError, MinDistance, MinShare, RayCount, Resolution,
     TargetError, TimeBudget,
@@ -28,12 +28,14 @@ pub enum Sampler {
         /// The duration from submission until sampling stops; `None` for unlimited time.
         time: Option<TimeBudget>,
     },
-    /// A fixed number of guided rays of each cell, which cells do not share: the baseline of the benchmarks.
+    /// A fixed number of guided rays of each cell: the baseline of the benchmarks.
     Guided {
         /// The cells.
         cells: KnownCells,
         /// The number of rays of each cell.
         rays: RayCount,
+        /// The cells that a ray credits.
+        credit: Crediting,
         /// The duration from submission until sampling stops; `None` for unlimited time.
         time: Option<TimeBudget>,
     },
@@ -141,6 +143,7 @@ impl Sampler {
         Self::Guided {
             cells,
             rays: RayCount::default(),
+            credit: Crediting::default(),
             time: None,
         }
     }

@@ -15,11 +15,11 @@ use sightline_model::CellStats;
 use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, SubtreeNode};
 use sightline_trace::lines::grid::CellGrid;
 use sightline_viewcells::division::FORCED_DEPTH;
-use sightline_viewcells::{CellBox, Split, Tile};
+use sightline_viewcells::{CellBox, Division, Split, Tile};
 
 use super::likely_items::{LikelyItem, SEEN_PER_LIKELY, completed_set, joined};
 use super::rounds::Tolerance;
-use super::tile_sampling::{TileSampling, columns, share};
+use super::tile_sampling::{TileSampling, share};
 use crate::context::{JobContext, TileError};
 
 /// Maximum number of levels of the tree that one block samples: 8×8×8 cells, fewer along the short axes of a
@@ -58,7 +58,7 @@ pub fn run(
         grid: block.grid().clone(),
         cell: tile.cell,
         levels,
-        columns: columns(&block),
+        columns: block.bits().columns(),
         likely,
         stats: block.stats().to_vec(),
     };
@@ -142,7 +142,7 @@ impl Sampled {
             .filter(|_| level < self.levels);
         let Some(split) = split else {
             let (seen, likely, stats) = self.take(cell);
-            return Subtree::leaf(seen, likely, stats);
+            return Subtree::leaf(job, seen, likely, stats);
         };
         let [below, above] = cell
             .children(split)
@@ -151,7 +151,7 @@ impl Sampled {
         let likely = joined(&below.likely, &above.likely);
         let stats = below.stats.joined(&above.stats);
         if !job.division.wants_split(seen.len(), depth) {
-            return Subtree::leaf(seen, likely, stats);
+            return Subtree::leaf(job, seen, likely, stats);
         }
         let mut nodes = vec![SubtreeNode::Split(split)];
         nodes.extend(below.nodes.into_iter().chain(above.nodes));
@@ -183,8 +183,18 @@ impl Sampled {
 }
 
 impl Subtree {
-    fn leaf(seen: Vec<u32>, likely: Vec<LikelyItem>, stats: CellStats) -> Self {
-        let most = seen.len() / SEEN_PER_LIKELY;
+    /// Creates a cell. Its completed set is within the triangle budget if the seen triangles are.
+    fn leaf(
+        job: &JobContext<'_>,
+        seen: Vec<u32>,
+        likely: Vec<LikelyItem>,
+        stats: CellStats,
+    ) -> Self {
+        let budget = match job.division {
+            Division::Adaptive { budget, .. } => budget as usize,
+            _ => usize::MAX,
+        };
+        let most = (seen.len() / SEEN_PER_LIKELY).min(budget.saturating_sub(seen.len()));
         let (visible, undecided) = completed_set(seen.clone(), likely.clone(), most);
         let cell = CellSet {
             visible,

@@ -11,6 +11,7 @@ use sightline_trace::cube::SKY;
 use sightline_trace::lines::FLOOD_STEPS;
 use sightline_trace::lines::bits::SeenBits;
 use sightline_trace::lines::grid::{CellGrid, Crossed, Slot};
+use sightline_trace::lines::packet_walk::PacketCrossed;
 use sightline_trace::lines::pairs::Pairs;
 use sightline_trace::lines::tally::Tally;
 use sightline_trace::packet::{LANES, Packet};
@@ -65,6 +66,17 @@ pub struct BlockInputs<'a> {
     pub observer: Option<&'a dyn LineObserver>,
 }
 
+/// The cells that lines cross.
+#[derive(Default)]
+pub(super) struct LineCells {
+    /// The cells of the block that the lines of a packet cross.
+    crossed: PacketCrossed,
+    /// The cells of the block that one segment crosses.
+    pub(super) segment: Crossed,
+    /// The cells of the whole division that a line crosses.
+    pub(super) joined: Crossed,
+}
+
 /// The scratch memory of a thread.
 pub(super) struct Scratch {
     /// For each row of the table, the last tag under which one of its triangles was met.
@@ -77,9 +89,7 @@ pub(super) struct Scratch {
     pub(super) behind: Vec<Packet>,
     /// The see-through triangles on the lines traced last.
     pub(super) passed: Passed,
-    pub(super) crossed: Crossed,
-    /// The cells of the whole division that a line crosses.
-    pub(super) joined: Crossed,
+    pub(super) cells: LineCells,
     /// The attempts at the candidates of the current cell.
     pub(super) tally: Tally,
 }
@@ -199,6 +209,12 @@ impl<'a> Block<'a> {
         self.table.is_reached(cell)
     }
 
+    /// Returns true if the halves of a line are credited separately, because lines end at a distance or some
+    /// triangles have one side.
+    pub(super) fn credits_halves(&self) -> bool {
+        self.in_halves
+    }
+
     /// Publishes all credits since the last barrier.
     pub(super) fn publish(&mut self) {
         self.table.publish(self.inputs.rows);
@@ -234,43 +250,62 @@ impl<'a> Block<'a> {
         (0..more).for_each(|_| self.inputs.watcher.cell_done());
     }
 
-    /// Credits every cell that the free part of a lane's line crosses with the triangles on the line.
+    /// Credits every cell that the free part of a line crosses with the triangles on the line, for each line
+    /// of a packet.
     ///
-    /// These are the triangles at both ends and the see-through triangles in between. Returns the triangles
-    /// at the ends, or [`SKY`] if a half of the line meets no triangle that shows. `halves` are the indices
-    /// in `packets` of both halves ([`Packet::reversed`]), and `passed` contains the see-through triangles on
-    /// them. If `joined` provides scratch memory, the crossed cells are joined.
+    /// These are the triangles at both ends and the see-through triangles in between. `halves` are the
+    /// indices in `packets` of both halves ([`Packet::reversed`]), and `passed` contains the see-through
+    /// triangles on them. The cells that one in `joins` lines crosses are joined. Calls `each` with each
+    /// lane, the triangles at the ends, or [`SKY`] if a half of the line meets no triangle that shows, and
+    /// the crossed cells with viewpoints. `each` gets no cells if both ends are [`SKY`], or if the halves are
+    /// credited separately.
     #[inline(always)]
-    pub(super) fn credit_line(
+    pub(super) fn credit_lines(
         &self,
         packets: &[Packet],
         passed: &Passed,
         halves: [usize; 2],
-        lane: usize,
-        crossed: &mut Crossed,
-        joined: Option<&mut Crossed>,
-    ) -> [u32; 2] {
+        joins: Option<usize>,
+        cells: &mut LineCells,
+        mut each: impl FnMut(usize, [u32; 2], &[(u32, u64)]),
+    ) {
+        let LineCells {
+            crossed,
+            segment,
+            joined,
+        } = cells;
         let [ahead, behind] = halves.map(|k| &packets[k]);
-        let ends = [ahead.triangle[lane], behind.triangle[lane]];
-        if self.in_halves {
-            self.credit_halves(packets, passed, halves, lane, crossed);
-            if let Some(joined) = joined {
-                self.join_halves([ahead, behind], lane, joined);
+        if !self.in_halves {
+            let grid = &self.table.grid;
+            grid.walk_packet(ahead, behind, self.step, crossed);
+        }
+        for lane in 0..ahead.count {
+            let ends = [ahead.triangle[lane], behind.triangle[lane]];
+            let is_joined = joins.is_some_and(|joins| lane.is_multiple_of(joins));
+            if self.in_halves {
+                self.credit_halves(packets, passed, halves, lane, segment);
+                if is_joined {
+                    self.join_halves([ahead, behind], lane, joined);
+                }
+                each(lane, ends, &[]);
+                continue;
             }
-        } else if ends != [SKY; 2] || joined.is_some() || !passed.is_empty() {
-            let (origin, direction) = ahead.ray(lane);
-            let (from, to) = ahead.free(behind, lane, self.step);
-            self.table.grid.walk(origin, direction, from, to, crossed);
-            if let Some(joined) = joined.filter(|_| self.is_whole || lane == 0) {
-                self.join((origin, direction), from, to, crossed, joined);
+            if ends == [SKY; 2] && !is_joined && passed.is_empty() {
+                each(lane, ends, &[]);
+                continue;
+            }
+            let crossed = &mut crossed.lanes[lane];
+            if is_joined && (self.is_whole || lane == 0) {
+                let (from, to) = ahead.free(behind, lane, self.step);
+                self.join(ahead.ray(lane), from, to, crossed, joined);
             }
             self.table.only_reached(crossed);
             ends.into_iter()
                 .filter(|t| *t != SKY)
                 .for_each(|t| self.table.credit(t, crossed));
             passed.each_on_both(halves, lane, |t| self.table.credit(t, crossed));
+            each(lane, ends, crossed);
         }
-        ends
     }
 
     /// Joins the cells of the division that a line crosses. `crossed` are the crossed cells of the block.
@@ -290,7 +325,7 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// Credits cells like [`Self::credit_line`], if lines end at a distance or some triangles have one side.
+    /// Credits cells like [`Self::credit_lines`], if lines end at a distance or some triangles have one side.
     ///
     /// Each triangle shows up to that distance on both sides of it. With triangles of one side, each half is
     /// free only in its own direction: triangles ahead are seen from the origin onward, and triangles behind
@@ -387,8 +422,7 @@ impl<'a> Block<'a> {
             packets: Vec::new(),
             behind: Vec::new(),
             passed: Passed::default(),
-            crossed: Vec::new(),
-            joined: Vec::new(),
+            cells: LineCells::default(),
             tally: Tally::default(),
         });
         let result = f(&mut scratch);

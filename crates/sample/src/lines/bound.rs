@@ -166,7 +166,7 @@ impl Block<'_> {
                 s.packets[packet].ray(lane),
                 s.packets[packet].distance[lane],
             );
-            pairs.join_line(line, 0.0, end, &mut s.joined);
+            pairs.join_line(line, 0.0, end, &mut s.cells.joined);
         })?;
         Ok(CellStats::default())
     }
@@ -189,8 +189,8 @@ impl Block<'_> {
                 s.packets[packet].ray(lane),
                 s.packets[packet].distance[lane],
             );
-            pairs.join_line(line, 0.0, end, &mut s.joined);
-            stats.bound_cell_misses += u64::from(pairs.is_new(&self.held, slot, &s.joined));
+            pairs.join_line(line, 0.0, end, &mut s.cells.joined);
+            stats.bound_cell_misses += u64::from(pairs.is_new(&self.held, slot, &s.cells.joined));
         })?;
         stats.rays[LineKind::Check as usize] = cast;
         if cast < lines {
@@ -243,8 +243,13 @@ impl Block<'_> {
         let cast = self.cast(s, cell, look, CHECK, lines, |block, s, k, lane| {
             let packet = &s.packets[k];
             if let Some((pairs, slot)) = pairs {
-                pairs.join_line(packet.ray(lane), 0.0, packet.distance[lane], &mut s.joined);
-                cell_misses += u64::from(pairs.is_new(&block.held, slot, &s.joined));
+                pairs.join_line(
+                    packet.ray(lane),
+                    0.0,
+                    packet.distance[lane],
+                    &mut s.cells.joined,
+                );
+                cell_misses += u64::from(pairs.is_new(&block.held, slot, &s.cells.joined));
             }
             let end = (packet.triangle[lane], packet.distance[lane]);
             let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
@@ -261,12 +266,10 @@ impl Block<'_> {
                     } else {
                         end.1
                     };
-                    block
-                        .table
-                        .grid
-                        .walk(origin, direction, 0.0, to, &mut s.crossed);
-                    block.table.only_reached(&mut s.crossed);
-                    block.table.credit(triangle, &s.crossed);
+                    let segment = &mut s.cells.segment;
+                    block.table.grid.walk(origin, direction, 0.0, to, segment);
+                    block.table.only_reached(segment);
+                    block.table.credit(triangle, segment);
                 }
             }
         })?;

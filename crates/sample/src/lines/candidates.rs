@@ -319,8 +319,7 @@ impl Block<'_> {
         let Scratch {
             packets,
             passed,
-            crossed,
-            joined,
+            cells,
             met,
             met_items,
             tag,
@@ -333,7 +332,9 @@ impl Block<'_> {
             let ahead = &packets[halves[0]];
             let origin = ahead.ray(0).0;
             stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
-            for (lane, candidate) in group.iter().enumerate() {
+            let joins = Some(JOINED_AIMED_LANES);
+            self.credit_lines(packets, passed, halves, joins, cells, |lane, ends, _| {
+                let candidate = &group[lane];
                 let found = ahead.triangle[lane] == candidate.triangle
                     || !passed.is_empty()
                         && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
@@ -346,15 +347,6 @@ impl Block<'_> {
                 {
                     observer.attempted(round, self.account(cell, candidate, time, found));
                 }
-                let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                let ends = self.credit_line(
-                    packets,
-                    passed,
-                    halves,
-                    lane,
-                    crossed,
-                    joins.then_some(&mut *joined),
-                );
                 let mut meet = |triangle| {
                     if triangle == SKY {
                         return;
@@ -374,7 +366,7 @@ impl Block<'_> {
                 };
                 ends.into_iter().for_each(&mut meet);
                 passed.each_on_both(halves, lane, meet);
-            }
+            });
         }
         stats.finds[LineKind::Candidate as usize] += finds.len() as u64;
         let start = self.inputs.observer.map(|_| Instant::now());
@@ -416,7 +408,7 @@ impl Block<'_> {
     }
 
     /// Returns the cell beyond a face: along axis `face / 2`, in positive direction if `face` is even.
-    fn beyond(&self, at: [u32; 3], face: usize) -> Option<Slot> {
+    pub(super) fn beyond(&self, at: [u32; 3], face: usize) -> Option<Slot> {
         let mut next = at;
         next[face / 2] = if face.is_multiple_of(2) {
             at[face / 2] + 1

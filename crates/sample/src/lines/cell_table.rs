@@ -231,9 +231,14 @@ impl<'a> CellTable<'a> {
 
     /// Credits a cell with a triangle's row if the cell has viewpoints.
     pub(super) fn credit_one(&self, triangle: u32, slot: Slot) {
-        if self.reached.is_empty() || self.reached[slot.word as usize] >> slot.bit & 1 == 1 {
+        if self.has_viewpoints(slot) {
             self.credit(triangle, &[(slot.word, 1 << slot.bit)]);
         }
+    }
+
+    /// Returns true if a cell has viewpoints.
+    pub(super) fn has_viewpoints(&self, slot: Slot) -> bool {
+        self.reached.is_empty() || self.reached[slot.word as usize] >> slot.bit & 1 == 1
     }
 
     /// Removes the cells without viewpoints from the crossed cells.

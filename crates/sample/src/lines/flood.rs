@@ -91,8 +91,7 @@ impl Block<'_> {
             let Scratch {
                 behind: traced,
                 passed,
-                crossed,
-                joined,
+                cells,
                 met,
                 tag,
                 ..
@@ -101,23 +100,15 @@ impl Block<'_> {
                 let halves = [2 * k, 2 * k + 1];
                 let ahead = &traced[halves[0]];
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
-                for lane in 0..ahead.count {
-                    let (end, target) = (ahead.triangle[lane], a.targets[lane]);
+                let joins = Some(JOINED_AIMED_LANES);
+                self.credit_lines(traced, passed, halves, joins, cells, |lane, ends, _| {
+                    let (end, target) = (ends[0], a.targets[lane]);
                     let found = end == target || passed.on(halves[0], lane).any(|t| t == target);
                     if !found {
                         // Another triangle obstructs the target; from another origin it may be visible.
                         met[self.table.row(target) as usize] = 0;
                     }
                     let origin = ahead.ray(lane).0;
-                    let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                    self.credit_line(
-                        traced,
-                        passed,
-                        halves,
-                        lane,
-                        crossed,
-                        joins.then_some(&mut *joined),
-                    );
                     let mut meet = |hit| {
                         if hit == SKY {
                             return;
@@ -138,7 +129,7 @@ impl Block<'_> {
                     if !passed.is_empty() {
                         passed.on(halves[0], lane).for_each(meet);
                     }
-                }
+                });
             }
             stats.finds[LineKind::Flood as usize] += finds.len() as u64;
         }

@@ -1,4 +1,6 @@
-//! The baseline of the benchmarks: guided rays, for each cell separately.
+//! Guided rays for each cell separately: a second baseline of the benchmarks in addition to
+//! [`super::guided_shared`], and the sampler `guided` if lines end at a distance or some triangles have one
+//! side.
 //!
 //! Each cell has a fixed number of rays. Half are aimed at unseen triangles adjacent to seen triangles
 //! (across an edge, or close by), a quarter at random unseen triangles, and a quarter have random directions.

@@ -33,20 +33,37 @@ pub(super) fn joined(a: &[LikelyItem], b: &[LikelyItem]) -> Vec<LikelyItem> {
 }
 
 /// Returns a set and its undecided part, both in ascending order: the seen items and the highest of the
-/// likely items that were not seen, at most `most` of these.
+/// likely items that were not seen, at most `most` of these. Both lists must ascend.
 pub(super) fn completed_set(
     mut seen: Vec<u32>,
     mut likely: Vec<LikelyItem>,
     most: usize,
 ) -> (Vec<u32>, Vec<u32>) {
     likely.retain(|l| seen.binary_search(&l.item).is_err());
-    likely.sort_unstable_by(|a, b| b.rank.total_cmp(&a.rank).then(a.item.cmp(&b.item)));
-    likely.truncate(most);
-    let mut undecided: Vec<u32> = likely.into_iter().map(|l| l.item).collect();
-    undecided.sort_unstable();
-    seen.extend_from_slice(&undecided);
-    seen.sort_unstable();
+    if likely.len() > most {
+        likely.sort_unstable_by(|a, b| b.rank.total_cmp(&a.rank).then(a.item.cmp(&b.item)));
+        likely.truncate(most);
+        likely.sort_unstable_by_key(|l| l.item);
+    }
+    let undecided: Vec<u32> = likely.into_iter().map(|l| l.item).collect();
+    merge(&mut seen, &undecided);
     (seen, undecided)
+}
+
+/// Adds ascending numbers to ascending numbers, from the end, so that each number moves once.
+fn merge(all: &mut Vec<u32>, added: &[u32]) {
+    let (mut old, mut new) = (all.len(), added.len());
+    all.resize(old + new, 0);
+    while new > 0 {
+        let at = old + new - 1;
+        if old > 0 && all[old - 1] > added[new - 1] {
+            all[at] = all[old - 1];
+            old -= 1;
+        } else {
+            all[at] = added[new - 1];
+            new -= 1;
+        }
+    }
 }
 
 #[cfg(test)]

@@ -78,25 +78,15 @@ impl Block<'_> {
                 let Scratch {
                     packets,
                     passed,
-                    crossed,
-                    joined,
+                    cells,
                     ..
                 } = &mut *s;
                 let mut rays = 0;
                 for pair in 0..packets.len() / 2 {
                     let halves = [2 * pair, 2 * pair + 1];
                     rays += 2 * packets[halves[0]].count as u64;
-                    for lane in 0..packets[halves[0]].count {
-                        let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                        self.credit_line(
-                            packets,
-                            passed,
-                            halves,
-                            lane,
-                            crossed,
-                            joins.then_some(&mut *joined),
-                        );
-                    }
+                    let joins = Some(JOINED_AIMED_LANES);
+                    self.credit_lines(packets, passed, halves, joins, cells, |_, _, _| {});
                 }
                 self.inputs.watcher.rendered(rays);
                 Ok(rays)

@@ -3,7 +3,8 @@
 
 use std::time::Instant;
 
-use sightline_model::{CellSet, CellSets, Stop, SubtreeNode};
+use rayon::prelude::*;
+use sightline_model::{CellSet, CellSets, Crediting, Stop, SubtreeNode};
 use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
@@ -11,7 +12,7 @@ use super::block::Block;
 use super::likely_items::{LikelyItem, completed_set};
 use super::pairs::of_tile;
 use super::rounds::Tolerance;
-use super::tile_sampling::{TileSampling, columns, share};
+use super::tile_sampling::{TileSampling, share};
 use super::{adaptive, cell_joins};
 use crate::context::{JobContext, LineSampler, TileError, Watcher};
 
@@ -79,8 +80,11 @@ pub fn run(
         start.elapsed()
     );
     let joined = match sampler {
-        LineSampler::Guided { rays } => {
-            block.sample_guided(rays)?;
+        LineSampler::Guided { rays, credit } => {
+            match credit {
+                Crediting::All if !block.credits_halves() => block.sample_guided_shared(rays)?,
+                Crediting::All | Crediting::Own => block.sample_guided(rays)?,
+            }
             join(Some(&mut block))?
         }
         LineSampler::Shared {
@@ -139,33 +143,41 @@ fn sets(
     mut likely: Vec<Vec<LikelyItem>>,
 ) -> CellSets {
     let grid = block.grid();
-    let mut columns = columns(block);
-    let mut out = CellSets::default();
+    let [nx, ny, _] = grid.cells();
+    let mut columns = block.bits().columns();
+    let mut nodes = Vec::new();
+    // The places of the cells in `CellGrid::each`, with their seen and likely items.
+    let mut cells = Vec::new();
     let mut waiting = vec![(tile.cell, tile.depth)];
     while let Some((cell, depth)) = waiting.pop() {
         match job.division.split(&job.lattice, &cell, depth) {
             Some(split) => {
-                out.nodes.push(SubtreeNode::Split(split));
+                nodes.push(SubtreeNode::Split(split));
                 let [below, above] = cell.children(split);
                 waiting.extend([(above, depth + 1), (below, depth + 1)]);
             }
             None => {
                 let at = [0, 1, 2].map(|a| (cell.lo[a] - tile.cell.lo[a]) / UNITS_PER_CELL);
-                let [nx, ny, _] = grid.cells();
                 let place = ((at[2] * ny + at[1]) * nx + at[0]) as usize;
-                out.nodes.push(SubtreeNode::Cell);
+                nodes.push(SubtreeNode::Cell);
                 let seen = std::mem::take(&mut columns[grid.slot(at).index()]);
-                let likely = std::mem::take(&mut likely[place]);
-                let (visible, undecided) = completed_set(seen, likely, usize::MAX);
-                out.cells.push(CellSet {
-                    visible,
-                    undecided,
-                    stats: block.stats()[place],
-                    unreached: !block.is_reached(place),
-                    ..CellSet::default()
-                });
+                cells.push((place, seen, std::mem::take(&mut likely[place])));
             }
         }
     }
-    out
+    let set = |(place, seen, likely): (usize, Vec<u32>, Vec<LikelyItem>)| {
+        let (visible, undecided) = completed_set(seen, likely, usize::MAX);
+        CellSet {
+            visible,
+            undecided,
+            stats: block.stats()[place],
+            unreached: !block.is_reached(place),
+            ..CellSet::default()
+        }
+    };
+    CellSets {
+        nodes,
+        cells: cells.into_par_iter().map(set).collect(),
+        ..CellSets::default()
+    }
 }

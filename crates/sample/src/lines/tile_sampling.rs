@@ -113,16 +113,6 @@ fn meeting(sampling: &TileSampling<'_>, within: &CellBox, block: &Block<'_>) {
         });
 }
 
-/// Returns the triangles seen from each cell, in ascending order, indexed by
-/// [`sightline_trace::lines::grid::Slot::index`].
-pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
-    let words = block.grid().words() as u32;
-    (0..words)
-        .into_par_iter()
-        .flat_map_iter(|w| block.bits().columns(w))
-        .collect()
-}
-
 /// Merges the rows of duplicate triangles, and of items that share a triangle, because they are seen
 /// together.
 pub fn share(sampling: &TileSampling<'_>, block: &mut Block<'_>) {

@@ -75,24 +75,15 @@ impl Block<'_> {
             let Scratch {
                 packets,
                 passed,
-                crossed,
-                joined,
+                cells,
                 met,
                 tag,
                 ..
             } = &mut *s;
             for pair in 0..packets.len() / 2 {
-                for lane in 0..LANES {
-                    let halves = [2 * pair, 2 * pair + 1];
-                    let joins = lane.is_multiple_of(JOINED_LANES);
-                    let ends = self.credit_line(
-                        packets,
-                        passed,
-                        halves,
-                        lane,
-                        crossed,
-                        joins.then_some(&mut *joined),
-                    );
+                let halves = [2 * pair, 2 * pair + 1];
+                let joins = Some(JOINED_LANES);
+                self.credit_lines(packets, passed, halves, joins, cells, |lane, ends, _| {
                     let mut meet = |triangle| {
                         if triangle == SKY || self.table.seen(triangle, c.slot) {
                             return;
@@ -111,7 +102,7 @@ impl Block<'_> {
                     };
                     ends.into_iter().for_each(&mut meet);
                     passed.each_on_both(halves, lane, meet);
-                }
+                });
             }
             stats.last_rays += (s.packets.len() * LANES) as u64;
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;

@@ -18,8 +18,9 @@ use super::hierarchy::{
     BEYOND, LEAF, Leaf, MAX_LEVELS, NO_TRIANGLE, NUMBER, Node, ONE_SIDED, PASSED, WIDTH,
     WideHierarchy,
 };
-use super::line_origin::{LISTED, OriginNodes, RayScale, scaled_origin, widening};
+use super::line_origin::{LISTED, OriginNodes, scaled_origin, widening};
 use super::lines::{Hits, Lines};
+use super::packet_rays::PacketRays;
 use crate::packet::LANES;
 
 /// The number of half lines that are traced at a time.
@@ -70,6 +71,11 @@ struct HalfLine {
     height: u32,
     /// The line: packet · 16 + lane.
     line: u32,
+    /// The factor from scaled distances to given ones.
+    outwards: f32,
+    /// The summand of given distances: the distance from the origin to the start of a reversed ray, or −0,
+    /// which changes no number.
+    start: f32,
 }
 
 /// The children of a node that are still to be visited.
@@ -134,12 +140,16 @@ pub(super) struct BatchScratch {
     sheared: [Sheared; HALVES],
     candidates: [Candidate; (HALVES + 1) * WIDTH],
     listed: OriginNodes,
+    /// The rays of the packet whose lines are begun.
+    rays: PacketRays,
 }
 
 /// Returns the largest key of a node that can hold a hit at a distance.
 #[inline(always)]
 fn cull_of(distance: f32) -> i32 {
-    (distance.clamp(0.0, FAR_KEY).to_bits() | 7) as i32
+    // The sum turns a negative zero into a positive one. As a number, the bits of a negative zero are less
+    // than every key.
+    ((distance.clamp(0.0, FAR_KEY) + 0.0).to_bits() | 7) as i32
 }
 
 /// Returns the axis of the largest size; of equal ones, the first.
@@ -198,7 +208,7 @@ impl HalfLine {
 
     /// Sets the interval in which hits count.
     #[inline(always)]
-    fn limit(&mut self, from: f32, until: f32, line: usize) {
+    fn limit(&mut self, [from, until]: [f32; 2], line: usize) {
         self.from = from;
         self.until = until;
         self.exact = f64::INFINITY;
@@ -351,8 +361,10 @@ pub(super) fn trace<S: Simd>(
         for half in &scratch.halves[..used] {
             hits.ends[half.line as usize] = half.until;
             if half.triangle != NO_TRIANGLE {
-                let (packet, lane) = (half.line as usize / LANES, half.line as usize % LANES);
-                lines.meet(scene, packet, lane, half.until, half.triangle);
+                let packet = &mut lines.packets[half.line as usize / LANES];
+                let lane = half.line as usize % LANES;
+                packet.distance[lane] = half.until * half.outwards + half.start;
+                packet.triangle[lane] = half.triangle;
             }
         }
     }
@@ -376,6 +388,7 @@ fn begin<S: Simd>(
         stacks,
         sheared,
         listed,
+        rays,
         ..
     } = scratch;
     let halves_per_line = if lines.step.is_some() { 2 } else { 1 };
@@ -390,10 +403,14 @@ fn begin<S: Simd>(
             *next = (next.0 + 1, 0);
             continue;
         }
+        if lane == 0 {
+            rays.set(simd, lines, packet, scene);
+        }
         next.1 += 1;
-        let (origin, direction) = lines.packets[packet].ray(lane);
-        let scale = RayScale::new(direction, scene);
-        let (Some(scale), Some(origin)) = (scale, scaled_origin(origin, scene)) else {
+        if rays.scaled >> lane & 1 == 0 {
+            continue;
+        }
+        let Some(origin) = scaled_origin(lines.packets[packet].ray(lane).0, scene) else {
             continue;
         };
         let pad = widening(origin);
@@ -401,13 +418,16 @@ fn begin<S: Simd>(
             listed.find(simd, scene, origin, pad);
             *listed_origin = origin;
         }
-        let mut pair = HalfLine::pair(origin, direction.map(|d| d * scale.direction), pad);
+        let mut pair = HalfLine::pair(origin, rays.direction(lane), pad);
         let line = packet * LANES + lane;
-        let limits = lines.limits(packet, lane);
-        for (half, (from, until)) in pair.iter_mut().zip(limits) {
-            half.limit(from * scale.inwards, until * scale.inwards, line);
+        let limits = rays.limits.iter().take(halves_per_line);
+        for (half, [from, until]) in pair.iter_mut().zip(limits) {
+            half.limit([from.0[lane], until.0[lane]], line);
+            half.outwards = rays.outwards.0[lane];
         }
         pair[1].line += LANES as u32;
+        pair[0].start = -0.0;
+        pair[1].start = rays.advance.0[lane];
         for leaf in &listed.leaves[..listed.leaf_count] {
             let leaf = &scene.leaves[*leaf as usize];
             let mut bits = pair[0].shear(simd, leaf, &mut sheared[0]);

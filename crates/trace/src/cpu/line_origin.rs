@@ -1,4 +1,4 @@
-//! The origin of lines in a hierarchy: scaled units, and the nodes that contain the origin.
+//! The origin of lines in a hierarchy, in scaled units, and the nodes that contain the origin.
 
 use bytemuck::Zeroable;
 use fearless_simd::{Simd, SimdBase, SimdMask, f32x8};
@@ -16,40 +16,6 @@ const FARTHEST: f32 = (1u64 << 40) as f32;
 pub(super) fn widening(origin: [f32; 3]) -> f32 {
     let largest = origin[0].abs().max(origin[1].abs()).max(origin[2].abs());
     (1.0 + largest) * (1.0 / (1 << 19) as f32)
-}
-
-/// Powers of two that convert between lengths of a direction and lengths of the scaled direction in the
-/// scaled scene.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct RayScale {
-    /// The factor of the direction, whose largest component becomes one to two.
-    pub(super) direction: f32,
-    /// The factor from given distances to scaled ones.
-    pub(super) inwards: f32,
-    /// The factor from scaled distances to given ones.
-    pub(super) outwards: f32,
-}
-
-impl RayScale {
-    /// Returns the scale of a direction, or `None` if no component is a normal number, one is not finite, or
-    /// a factor is not a normal number.
-    #[inline(always)]
-    pub(super) fn new(direction: [f32; 3], scene: &WideHierarchy) -> Option<Self> {
-        let [x, y, z] = direction.map(|d| d.to_bits() >> 23 & 0xff);
-        let exponent = x.max(y).max(z);
-        if exponent == 0 || exponent == 0xff {
-            return None;
-        }
-        let exponent = exponent.min(253);
-        let shorten = f32::from_bits((254 - exponent) << 23);
-        let lengthen = f32::from_bits(exponent << 23);
-        let (inwards, outwards) = (lengthen * scene.units.scale, shorten * scene.units.unscale);
-        (inwards.is_normal() && outwards.is_normal()).then_some(Self {
-            direction: shorten,
-            inwards,
-            outwards,
-        })
-    }
 }
 
 /// Returns the origin in scaled units, or `None` if a coordinate is too large or not finite.

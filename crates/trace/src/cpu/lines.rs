@@ -1,7 +1,6 @@
 //! The lines of one call of the tracer, and the hits that are not at their ends.
 
 use super::hierarchy::WideHierarchy;
-use super::line_origin::RayScale;
 use crate::packet::Packet;
 
 /// The triangles that lines pass, in scaled units: line (packet · 16 + lane), triangle and distance. Some lie
@@ -25,20 +24,8 @@ pub(super) struct Lines<'a> {
 }
 
 impl Lines<'_> {
-    /// Returns the intervals in which hits of the line ahead and of the line behind count, in lengths of the
-    /// direction from the origin of the line. Separate rays have no line behind.
-    #[inline(always)]
-    pub(super) fn limits(&self, packet: usize, lane: usize) -> [(f32, f32); 2] {
-        let ahead = (self.near, self.packets[packet].distance[lane]);
-        let Some(step) = self.step else {
-            return [ahead; 2];
-        };
-        let advance = self.packets[packet].advance(lane, step);
-        let behind = self.packets[packet + 1].distance[lane];
-        [ahead, (self.near - advance, behind - advance)]
-    }
-
-    /// Returns the distance of a hit from the origin of its ray, in lengths of the direction.
+    /// Returns the distance of a hit from the origin of its ray, in lengths of the direction, which can be
+    /// scaled ([`PacketRays`](super::packet_rays::PacketRays)).
     #[inline(always)]
     pub(super) fn distance(
         &self,
@@ -51,26 +38,13 @@ impl Lines<'_> {
             Some(_) => packet & !1,
             None => packet,
         };
-        let scale = RayScale::new(self.packets[first].ray(lane).1, scene);
-        let distance = scaled * scale.map_or(1.0, |s| s.outwards);
+        let direction = self.packets[first].ray(lane).1;
+        let exponents = direction.map(|d| d.to_bits() >> 23 & 0xff);
+        let exponent = exponents.into_iter().fold(0, u32::max).min(253);
+        let distance = scaled * (f32::from_bits((254 - exponent) << 23) * scene.units.unscale);
         match self.step {
             Some(step) if packet != first => distance + self.packets[first].advance(lane, step),
             _ => distance,
         }
-    }
-
-    /// Writes the nearest hit of a ray.
-    #[inline(always)]
-    pub(super) fn meet(
-        &mut self,
-        scene: &WideHierarchy,
-        packet: usize,
-        lane: usize,
-        scaled: f32,
-        triangle: u32,
-    ) {
-        let distance = self.distance(scene, packet, lane, scaled);
-        self.packets[packet].distance[lane] = distance;
-        self.packets[packet].triangle[lane] = triangle;
     }
 }

@@ -41,7 +41,8 @@
 //! # Modules
 //!
 //! - `hierarchy`: nodes of eight children over leaves of eight triangles.
-//! - `lines`, `line_origin`: the lines of a call, scaled rays, and the nodes that contain their origin.
+//! - `lines`, `packet_rays`, `line_origin`: the lines of a call, the scaled rays of a packet, and the nodes
+//!   that contain their origin.
 //! - `batch`, `tile`: traversals of separate rays and of sixteen similar rays.
 //! - `tracer`, `renderer`: sight lines and visibility cubes.
 
@@ -50,6 +51,7 @@ mod float_mode;
 mod hierarchy;
 mod line_origin;
 mod lines;
+mod packet_rays;
 mod renderer;
 #[cfg(test)]
 mod tests;
@@ -63,6 +65,8 @@ use sightline_scene::{Scene, Side, TriangleId};
 
 use self::hierarchy::{InputTriangle, NUMBER, ONE_SIDED, PASSED, Units, WideHierarchy};
 use self::renderer::CpuRenderer;
+#[cfg(test)]
+pub(crate) use self::tests::levels;
 use self::tracer::{CpuScene, CpuTracer};
 use crate::cube::CubeSpec;
 use crate::error::TracerError;

@@ -19,7 +19,7 @@ const SPEC: CubeSpec = CubeSpec {
 };
 
 /// Returns the instruction sets of this machine.
-fn levels() -> Vec<Level> {
+pub(crate) fn levels() -> Vec<Level> {
     let best = Level::new();
     #[cfg(target_arch = "x86_64")]
     {
@@ -181,20 +181,32 @@ impl Search<'_> {
                 met.push((exact, (f64::from(t) / unit) as f32, id));
             }
         }
-        met.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
+        // Both zeros are equal distances.
+        met.sort_by(|a, b| a.0.partial_cmp(&b.0).unwrap().then(a.2.cmp(&b.2)));
         met
     }
 }
 
-/// Compares all traversals on a scene with the search.
+/// Returns the bits of all hits, and the passed triangles of each line.
+fn hit_bits(packets: &[Packet], passed: &[(u32, u32, f32)]) -> (Vec<u32>, Vec<[u32; 2]>) {
+    let lanes = packets.iter().flat_map(|packet| {
+        (0..packet.count).flat_map(|lane| [packet.distance[lane].to_bits(), packet.triangle[lane]])
+    });
+    let mut passed: Vec<[u32; 2]> = passed.iter().map(|hit| [hit.0, hit.1]).collect();
+    passed.sort_unstable();
+    passed.dedup();
+    (lanes.collect(), passed)
+}
+
+/// Compares one traversal on a scene with the search, and the others and all instruction sets with it.
 fn compare(
     triangles: Vec<Triangle>,
     sides: Option<Vec<Side>>,
     passed: bool,
     place: Place,
     count: u32,
+    random: &mut Hashed,
 ) {
-    let mut random = Hashed::new(&[u64::from(count), triangles.len() as u64]);
     let scene = scene(triangles, sides.clone());
     let degenerate = |id: &u32| scene.triangles()[*id as usize].is_degenerate();
     let ids: Vec<u32> = (0..scene.len()).collect();
@@ -211,7 +223,7 @@ fn compare(
     let near = built.near;
     let mut built = Arc::into_inner(built).unwrap();
     let step = 1e-4 * place.scale;
-    let mut rays = packets(count, place, &mut random);
+    let mut rays = packets(count, place, random);
     for packet in rays.iter_mut().step_by(3) {
         packet.distance = std::array::from_fn(|_| random.unit() * 2.0);
     }
@@ -223,21 +235,30 @@ fn compare(
         halves.extend([packet.clone(), behind]);
     }
     let (mut met, mut free) = (0, 0);
-    for level in levels() {
+    let mut of_first_level = Vec::new();
+    for (number, level) in levels().into_iter().enumerate() {
         built.level = level;
         let tracer = CpuTracer(Arc::new(built));
-        for (kind, coherent) in [
+        let ways = [
             (Halves::Rays, false),
             (Halves::Rays, true),
             (Halves::Lines { step }, false),
             (Halves::Lines { step }, true),
-        ] {
+        ];
+        for (way, (kind, coherent)) in ways.into_iter().enumerate() {
             let is_pair = kind != Halves::Rays;
             let given = if is_pair { &halves } else { &rays };
             let mut traced = given.clone();
             let mut found = Vec::new();
             tracer.trace_packets(&mut traced, kind, coherent, Some(&mut found));
             assert!(found.is_sorted_by_key(|f| f.0 / LANES as u32));
+            let bits = hit_bits(&traced, &found);
+            if number > 0 || coherent {
+                let is_equal = bits == of_first_level[way / 2];
+                assert!(is_equal, "{level:?} {kind:?} {coherent}");
+                continue;
+            }
+            of_first_level.push(bits);
             for (k, packet) in traced.iter().enumerate() {
                 let back = is_pair && k % 2 == 1;
                 let first = &given[if back { k - 1 } else { k }];
@@ -294,7 +315,71 @@ fn traversals_have_hits_of_search() {
             false,
             HERE,
             rays.max(count / 2),
+            &mut random,
         );
+    }
+}
+
+/// Compares as many rays as `SIGHTLINE_RAYS` names, of each kind, in scenes of 2000 triangles, or in the
+/// scene file that `SIGHTLINE_SCENE` names.
+#[test]
+#[ignore = "takes as long as SIGHTLINE_RAYS requires; scripts/nightly.sh runs it"]
+fn many_rays_have_hits_of_search() {
+    let rays: u64 = std::env::var("SIGHTLINE_RAYS").map_or(10_000_000, |n| n.parse().unwrap());
+    let file = std::env::var_os("SIGHTLINE_SCENE").map(|path| {
+        let scene = sightline_scene::load(path.as_ref()).unwrap();
+        let bounds = scene.bounds();
+        let place = Place {
+            scale: (bounds.max - bounds.min).max_element() / 32.0,
+            moved: bounds.min,
+        };
+        (scene.triangles().to_vec(), place)
+    });
+    // The mean packet has 8.5 rays.
+    (0..rays.div_ceil(8 * 500))
+        .into_par_iter()
+        .for_each(|part| {
+            let mut random = Hashed::new(&[20, part]);
+            let (triangles, place) = match &file {
+                Some((triangles, place)) => (triangles.clone(), *place),
+                None => (soup(2000, 1.0, &mut random), HERE),
+            };
+            compare(triangles, None, false, place, 500, &mut random);
+        });
+}
+
+/// Checks hits against a digest that all kinds of processors have.
+#[test]
+fn hits_have_digest_of_all_processors() {
+    let mut random = Hashed::new(&[21]);
+    // The scene depends on exact operations only.
+    let triangles: Vec<Triangle> = (0..2000)
+        .map(|_| {
+            let centre = random.point() * 32.0;
+            let size = f32::from_bits((122 + (random.bits() % 8) as u32) << 23);
+            let mut corner = || centre + (random.point() - 0.5) * size;
+            Triangle {
+                v: [corner(), corner(), corner()],
+            }
+        })
+        .collect();
+    let rays = packets(600, HERE, &mut random);
+    let ids: Vec<u32> = (0..2000).collect();
+    let backend = CpuBackend::new(scene(triangles, None), SPEC).unwrap();
+    let mut built = Arc::into_inner(backend.build_lines(&ids, &[]).unwrap()).unwrap();
+    for level in levels() {
+        built.level = level;
+        let tracer = CpuTracer(Arc::new(built));
+        for coherent in [false, true] {
+            let mut traced = rays.clone();
+            tracer.trace_packets(&mut traced, Halves::Rays, coherent, None);
+            let (bits, _) = hit_bits(&traced, &[]);
+            let digest = bits.iter().fold(0u64, |digest, bits| {
+                sightline_numbers::random::mix(digest ^ u64::from(*bits))
+            });
+            assert_eq!(digest, 15_884_073_926_614_975_362, "{level:?} {coherent}");
+        }
+        built = Arc::into_inner(tracer.0).unwrap();
     }
 }
 
@@ -306,7 +391,14 @@ fn passed_and_one_sided_triangles_have_hits_of_search() {
             .map(|_| Side::ALL[(random.bits() % 3) as usize])
             .collect()
     };
-    compare(soup(400, 1.0, &mut random), None, true, HERE, 60);
+    compare(
+        soup(400, 1.0, &mut random),
+        None,
+        true,
+        HERE,
+        60,
+        &mut random,
+    );
     let one_sided = sides(400, &mut random);
     compare(
         soup(400, 1.0, &mut random),
@@ -314,9 +406,17 @@ fn passed_and_one_sided_triangles_have_hits_of_search() {
         false,
         HERE,
         60,
+        &mut random,
     );
     let one_sided = sides(400, &mut random);
-    compare(soup(400, 1.0, &mut random), Some(one_sided), true, HERE, 60);
+    compare(
+        soup(400, 1.0, &mut random),
+        Some(one_sided),
+        true,
+        HERE,
+        60,
+        &mut random,
+    );
 }
 
 #[test]
@@ -324,7 +424,14 @@ fn scale_of_scene_does_not_matter() {
     let mut random = Hashed::new(&[3]);
     for scale in [1e-17, 1e-9, 1e7] {
         let place = Place { scale, ..HERE };
-        compare(soup(200, scale, &mut random), None, false, place, 40);
+        compare(
+            soup(200, scale, &mut random),
+            None,
+            false,
+            place,
+            40,
+            &mut random,
+        );
     }
 }
 
@@ -340,7 +447,50 @@ fn place_of_scene_does_not_matter() {
         for triangle in &mut triangles {
             triangle.v = triangle.v.map(|v| v + moved);
         }
-        compare(triangles, None, false, Place { scale: 1.0, moved }, 40);
+        compare(
+            triangles,
+            None,
+            false,
+            Place { scale: 1.0, moved },
+            40,
+            &mut random,
+        );
+    }
+}
+
+/// Checks rays from a plane in which many triangles overlap: the distance to all is zero, of either sign.
+#[test]
+fn least_triangle_counts_at_distance_zero() {
+    // More leaves contain the origin than the tracer lists. The sizes are in no order of the ids.
+    let triangles: Vec<Triangle> = (0..2000)
+        .map(|id| {
+            let x = 4.0 + (id * 797 + 1000) as f32 % 2000.0;
+            let corner = |y: f32| Vec3::new(x, y, 0.0);
+            Triangle {
+                v: [Vec3::new(-4.0, 0.0, 0.0), corner(-x), corner(x)],
+            }
+        })
+        .collect();
+    let ids: Vec<u32> = (0..2000).collect();
+    let backend = CpuBackend::new(scene(triangles, None), SPEC).unwrap();
+    let tracer = backend.lines(LineSet::Blocking, &ids).unwrap();
+    let step = 1e-4;
+    for [x, y, z] in [
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, -1.0],
+        [0.25, -0.5, 1.0],
+        [-0.5, 0.25, -1.0],
+    ] {
+        let mut ahead = Packet::default();
+        ahead.push([1.0, 0.0, 0.0], [x, y, z]);
+        let behind = ahead.reversed(step);
+        for coherent in [false, true] {
+            let mut traced = [ahead.clone(), behind.clone()];
+            tracer
+                .trace(&mut traced, Halves::Lines { step }, coherent)
+                .unwrap();
+            assert_eq!(traced[1].triangle[0], 0, "{x} {y} {z} {coherent}");
+        }
     }
 }
 

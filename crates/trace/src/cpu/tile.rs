@@ -13,7 +13,8 @@
 
 use bytemuck::Zeroable;
 use fearless_simd::{
-    Simd, SimdBase, SimdFloat as _, SimdMask as _, SimdWiden as _, f32x8, f32x16, f64x4,
+    Select as _, Simd, SimdBase, SimdFloat as _, SimdMask as _, SimdWiden as _, f32x8, f32x16,
+    f64x4, u32x16,
 };
 
 use super::batch::{main_axis, sheared_axes};
@@ -21,9 +22,10 @@ use super::hierarchy::{
     BEYOND, LEAF, Leaf, MAX_LEVELS, NO_TRIANGLE, NUMBER, Node, ONE_SIDED, PASSED, WIDTH,
     WideHierarchy,
 };
-use super::line_origin::{LISTED, OriginNodes, RayScale, scaled_origin, widening};
+use super::line_origin::{LISTED, OriginNodes, scaled_origin, widening};
 use super::lines::{Hits, Lines};
-use crate::packet::LANES;
+use super::packet_rays::{Lanes, PacketRays};
+use crate::packet::{LANES, Packet};
 
 /// The height of the stack: the children of the listed nodes, and of a path below one of them.
 const STACK: usize = WIDTH * (LISTED + MAX_LEVELS);
@@ -44,28 +46,28 @@ struct SlopeBounds {
     leave: (usize, f32, f32),
 }
 
-/// Sixteen rays. Lanes without a ray repeat the last ray.
+/// Sixteen half lines, all ahead or all behind. Lanes without a line repeat the last line.
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
 struct Tile {
     /// The slopes of each ray, which are also the shear of triangles.
-    shear: [[f32; LANES]; 2],
+    shear: [Lanes; 2],
     /// The inverse slopes, for box tests, and the sums for low and high planes.
-    inverse: [[f32; LANES]; 2],
-    low: [[f32; LANES]; 2],
-    high: [[f32; LANES]; 2],
+    inverse: [Lanes; 2],
+    low: [Lanes; 2],
+    high: [Lanes; 2],
     /// The component of each direction along the axis.
-    forward: [f32; LANES],
+    forward: Lanes,
     /// The distance beyond which hits count, in lengths of the scaled direction.
-    from: [f32; LANES],
+    from: Lanes,
     /// The distance of the nearest hit, or the end of the ray.
-    until: [f32; LANES],
+    until: Lanes,
     /// The distance of the nearest hit before it was rounded; infinite without a hit.
     exact: [f64; LANES],
     /// The triangle of the nearest hit.
     triangle: [u32; LANES],
     /// The largest distance along the axis at which a nearer hit can be, for each ray and for all.
-    reach: [f32; LANES],
+    reach: Lanes,
     farthest: f32,
     /// The smallest distance along the axis at which a hit can be.
     nearest: f32,
@@ -96,19 +98,10 @@ struct OpenChild {
 /// The memory of a thread that traces.
 #[derive(Clone, Copy, Zeroable)]
 pub(super) struct TileScratch {
+    rays: PacketRays,
+    tile: Tile,
     stack: [OpenChild; STACK],
     listed: OriginNodes,
-}
-
-/// The scaled rays of a packet.
-struct Rays {
-    origin: [f32; 3],
-    direction: [[f32; LANES]; 3],
-    scale: [RayScale; LANES],
-    axes: [usize; 3],
-    /// True if the directions go down the third axis.
-    is_down: bool,
-    count: usize,
 }
 
 /// Traces the chosen packets whose rays have one origin and one main axis. Removes them from `chosen`.
@@ -142,126 +135,88 @@ fn trace_packet<S: Simd>(
     scratch: &mut TileScratch,
     hits: &mut Hits,
 ) -> bool {
-    let count = lines.packets[packet].count;
-    if count == 0 {
+    if lines.packets[packet].count == 0 {
         return true;
     }
-    let Some(rays) = Rays::new(lines, packet, scene) else {
+    let TileScratch {
+        rays,
+        tile,
+        stack,
+        listed,
+    } = scratch;
+    rays.set(simd, lines, packet, scene);
+    let main = main_axis(rays.direction(0).map(f32::abs));
+    let Some(origin) = scaled_origin(lines.packets[packet].ray(0).0, scene) else {
         return false;
     };
-    let pad = widening(rays.origin);
-    let mut limits = [[(0.0, 0.0); LANES]; 2];
-    for lane in 0..LANES {
-        let own = lines.limits(packet, lane.min(count - 1));
-        let scale = rays.scale[lane].inwards;
-        for (to, (from, until)) in limits.iter_mut().zip(own) {
-            to[lane] = (from * scale, until * scale);
-            // At a negative distance w, the bounds of slopes are wrong by up to 2 · |w|. This may be half of
-            // the widening.
-            let along = rays.direction[rays.axes[2]][lane].abs();
-            if to[lane].0 * along < -0.25 * pad {
-                return false;
-            }
+    if !rays.are_similar(simd, lines, packet, main) {
+        return false;
+    }
+    let pad = widening(origin);
+    let halves = if lines.step.is_some() { 2 } else { 1 };
+    let along = rays.direction[main].load(simd).abs();
+    for [from, _] in &rays.limits[..halves] {
+        // At a negative distance w, the bounds of slopes are wrong by up to 2 · |w|. This may be half of the
+        // widening.
+        if (from.load(simd) * along).reduce_min() < -0.25 * pad {
+            return false;
         }
     }
-    scratch.listed.find(simd, scene, rays.origin, pad);
-    let mut tile = Tile::new(simd, &rays, pad);
-    let halves = if lines.step.is_some() { 2 } else { 1 };
-    for (half, limits) in limits.iter().enumerate().take(halves) {
-        tile.face(simd, &rays, half == 1, limits);
-        tile.run(simd, scene, scratch, ((packet + half) * LANES) as u32, hits);
-        for lane in 0..count {
-            hits.ends[(packet + half) * LANES + lane] = tile.until[lane];
-            if tile.triangle[lane] != NO_TRIANGLE {
-                lines.meet(
-                    scene,
-                    packet + half,
-                    lane,
-                    tile.until[lane],
-                    tile.triangle[lane],
-                );
-            }
-        }
+    listed.find(simd, scene, origin, pad);
+    tile.set(simd, rays, origin, main, pad);
+    for half in 0..halves {
+        tile.face(simd, rays, half);
+        let first = (packet + half) * LANES;
+        tile.run(simd, scene, stack, listed, first as u32, hits);
+        hits.ends[first..first + rays.count].copy_from_slice(&tile.until.0[..rays.count]);
+        tile.write(simd, rays, half, &mut lines.packets[packet + half]);
     }
     true
 }
 
-impl Rays {
-    /// Returns `None` if the rays have several origins or main axes, or are not finite.
-    #[inline(always)]
-    fn new(lines: &Lines<'_>, packet: usize, scene: &WideHierarchy) -> Option<Self> {
-        let packet = &lines.packets[packet];
-        let (first, direction) = packet.ray(0);
-        let mut rays = Self {
-            origin: scaled_origin(first, scene)?,
-            direction: [[0.0; LANES]; 3],
-            scale: [RayScale::new(direction, scene)?; LANES],
-            axes: sheared_axes(main_axis(direction.map(f32::abs))),
-            is_down: false,
-            count: packet.count,
-        };
-        rays.is_down = direction[rays.axes[2]] < 0.0;
-        for lane in 0..LANES {
-            let (origin, direction) = packet.ray(lane.min(packet.count - 1));
-            let scale = RayScale::new(direction, scene)?;
-            let main = main_axis(direction.map(f32::abs));
-            if origin != first || main != rays.axes[2] || (direction[main] < 0.0) != rays.is_down {
-                return None;
-            }
-            for (axis, component) in rays.direction.iter_mut().zip(direction) {
-                axis[lane] = component * scale.direction;
-            }
-            rays.scale[lane] = scale;
-        }
-        Some(rays)
-    }
-}
-
 impl Tile {
-    /// Creates the tile without a direction along its axis ([`Self::face`]).
+    /// Sets the values that do not depend on the direction along the axis ([`Self::face`]).
     #[inline(always)]
-    fn new<S: Simd>(simd: S, rays: &Rays, widening: f32) -> Self {
-        let [kx, ky, kz] = rays.axes;
-        let row = |k: usize| f32x16::from_slice(simd, &rays.direction[k]);
-        let (sx, sy) = (row(kx) / row(kz), row(ky) / row(kz));
-        let mut shear = [[0.0; LANES]; 2];
-        sx.store_slice(&mut shear[0]);
-        sy.store_slice(&mut shear[1]);
-        let largest = rays.origin.iter().fold(0.0f32, |m, o| m.max(o.abs()));
-        Self {
-            shear,
-            least: [sx.reduce_min(), sy.reduce_min()],
-            most: [sx.reduce_max(), sy.reduce_max()],
-            axes: rays.axes,
-            origin: rays.axes.map(|k| rays.origin[k]),
-            slack: (1.0 + largest) * (1.0 + largest) * (1.0 / (1 << 18) as f32),
-            widening,
-            active: (1u32 << rays.count) - 1,
-            ..Self::zeroed()
+    fn set<S: Simd>(
+        &mut self,
+        simd: S,
+        rays: &PacketRays,
+        origin: [f32; 3],
+        main: usize,
+        widening: f32,
+    ) {
+        self.axes = sheared_axes(main);
+        let along = rays.direction[main].load(simd);
+        for k in 0..2 {
+            let slopes = rays.direction[self.axes[k]].load(simd) / along;
+            self.shear[k].store(slopes);
+            self.least[k] = slopes.reduce_min();
+            self.most[k] = slopes.reduce_max();
         }
+        let largest = origin.iter().fold(0.0f32, |m, o| m.max(o.abs()));
+        self.origin = self.axes.map(|k| origin[k]);
+        self.slack = (1.0 + largest) * (1.0 + largest) * (1.0 / (1 << 18) as f32);
+        self.widening = widening;
+        self.active = (1u32 << rays.count) - 1;
     }
 
-    /// Turns the tile along its directions, or against them if `is_back` is true. `limits` are the scaled
-    /// distances between which hits count.
+    /// Turns the tile along its directions, or against them if `half` is 1.
     #[inline(always)]
-    fn face<S: Simd>(&mut self, simd: S, rays: &Rays, is_back: bool, limits: &[(f32, f32); LANES]) {
-        let is_down = rays.is_down != is_back;
-        let sign = if is_down { -1.0 } else { 1.0 };
+    fn face<S: Simd>(&mut self, simd: S, rays: &PacketRays, half: usize) {
+        let splat = |x: f32| f32x16::splat(simd, x);
         let kz = self.axes[2];
+        let forward = rays.direction[kz].load(simd);
+        let is_down = (rays.direction[kz].0[0] < 0.0) != (half == 1);
+        let sign = if is_down { -1.0 } else { 1.0 };
         // Along w = sign · (z − origin), a ray has x − origin = sign · slope · w.
         for k in 0..2 {
-            let mut slopes = self.shear[k];
-            for slope in &mut slopes {
-                *slope *= sign;
-                *slope = slope.abs().max(LEAST_SLOPE).copysign(*slope);
-            }
-            let inverse = f32x16::splat(simd, 1.0) / f32x16::from_slice(simd, &slopes);
+            let slopes = self.shear[k].load(simd) * splat(sign);
+            let slopes = slopes.abs().max(splat(LEAST_SLOPE)).copysign(slopes);
+            let inverse = splat(1.0) / slopes;
             let origin = self.origin[k];
-            inverse.store_slice(&mut self.inverse[k]);
-            (f32x16::splat(simd, -(origin + self.widening)) * inverse)
-                .store_slice(&mut self.low[k]);
-            (f32x16::splat(simd, -(origin - self.widening)) * inverse)
-                .store_slice(&mut self.high[k]);
+            self.inverse[k].store(inverse);
+            self.low[k].store(splat(-(origin + self.widening)) * inverse);
+            self.high[k].store(splat(-(origin - self.widening)) * inverse);
             let (least, most) = if is_down {
                 (-self.most[k], -self.least[k])
             } else {
@@ -277,26 +232,42 @@ impl Tile {
         self.sign = sign;
         self.sums = [1.0, -1.0].map(|s| -sign * (self.origin[2] + s * sign * self.widening));
         self.triangle = [NO_TRIANGLE; LANES];
-        self.nearest = 0.0;
-        for (lane, limit) in limits.iter().enumerate() {
-            let forward = rays.direction[kz][lane];
-            self.forward[lane] = if is_back { -forward } else { forward };
-            (self.from[lane], self.until[lane]) = *limit;
-            self.exact[lane] = f64::INFINITY;
-            self.nearest = self.nearest.min(self.from[lane] * forward.abs() * UP);
-            self.reach[lane] = if self.active >> lane & 1 == 1 {
-                (self.until[lane] * forward.abs() * UP).min(FAR)
-            } else {
-                -BEYOND
-            };
+        self.exact = [f64::INFINITY; LANES];
+        let [from, until] = &rays.limits[half];
+        let (from, until) = (from.load(simd), until.load(simd));
+        let length = forward.abs() * splat(UP);
+        self.forward
+            .store(if half == 1 { -forward } else { forward });
+        self.from.store(from);
+        self.until.store(until);
+        self.nearest = (from * length).reduce_min().min(0.0);
+        let reach = (until * length).min_precise(splat(FAR));
+        self.farthest = reach.reduce_max();
+        self.reach.store(reach);
+        // The other lanes repeat the last ray, so the largest distance is the one of all rays.
+        self.reach.0[rays.count..].fill(-BEYOND);
+    }
+
+    /// Writes the hits to the packet of a half of the rays. Rays without a hit keep their distance.
+    #[inline(always)]
+    fn write<S: Simd>(&self, simd: S, rays: &PacketRays, half: usize, packet: &mut Packet) {
+        let mut distance = self.until.load(simd) * rays.outwards.load(simd);
+        if half == 1 {
+            distance += rays.advance.load(simd);
         }
-        self.set_farthest(simd);
+        let none = u32x16::splat(simd, NO_TRIANGLE);
+        let is_hit = u32x16::from_slice(simd, &self.triangle).simd_lt(none);
+        let before = f32x16::from_slice(simd, &packet.distance);
+        is_hit
+            .select(distance, before)
+            .store_slice(&mut packet.distance);
+        packet.triangle = self.triangle;
     }
 
     /// Updates the largest distance of all rays.
     #[inline(always)]
     fn set_farthest<S: Simd>(&mut self, simd: S) {
-        self.farthest = f32x16::from_slice(simd, &self.reach).reduce_max();
+        self.farthest = self.reach.load(simd).reduce_max();
     }
 
     /// Finds the nearest triangles along the rays. `line` is the line of the first lane.
@@ -305,11 +276,11 @@ impl Tile {
         &mut self,
         simd: S,
         scene: &WideHierarchy,
-        scratch: &mut TileScratch,
+        stack: &mut [OpenChild; STACK],
+        listed: &OriginNodes,
         line: u32,
         hits: &mut Hits,
     ) {
-        let TileScratch { stack, listed } = scratch;
         let mut height = 0;
         for leaf in &listed.leaves[..listed.leaf_count] {
             self.test_leaf(simd, &scene.leaves[*leaf as usize], line, hits);
@@ -370,11 +341,10 @@ impl Tile {
         enter.store_slice(&mut enters);
         start.store_slice(&mut starts);
         end.store_slice(&mut ends);
-        let load = |v: &[f32; LANES]| f32x16::from_slice(simd, v);
-        let [rx, ry] = [load(&self.inverse[0]), load(&self.inverse[1])];
-        let [xl, yl] = [load(&self.low[0]), load(&self.low[1])];
-        let [xh, yh] = [load(&self.high[0]), load(&self.high[1])];
-        let reach = load(&self.reach);
+        let [rx, ry] = [self.inverse[0].load(simd), self.inverse[1].load(simd)];
+        let [xl, yl] = [self.low[0].load(simd), self.low[1].load(simd)];
+        let [xh, yh] = [self.high[0].load(simd), self.high[1].load(simd)];
+        let reach = self.reach.load(simd);
         let splat = |x: f32| f32x16::splat(simd, x);
         let base = height;
         while bits != 0 {
@@ -463,8 +433,7 @@ impl Tile {
             leaf.vertices[corner][axis][lane] - self.origin[k]
         };
         let [az, bz, cz] = [at(0, 2, kz), at(1, 2, kz), at(2, 2, kz)];
-        let sx = f32x16::from_slice(simd, &self.shear[0]);
-        let sy = f32x16::from_slice(simd, &self.shear[1]);
+        let [sx, sy] = [self.shear[0].load(simd), self.shear[1].load(simd)];
         let ax = splat(at(0, 0, kx)) - sx * splat(az);
         let ay = splat(at(0, 1, ky)) - sy * splat(az);
         let bx = splat(at(1, 0, kx)) - sx * splat(bz);
@@ -502,7 +471,7 @@ impl Tile {
                 load(&sheared[2]),
                 load(&sheared[3]),
             );
-            let (cx, cy, forward) = (load(&sheared[4]), load(&sheared[5]), load(&self.forward));
+            let (cx, cy, forward) = (load(&sheared[4]), load(&sheared[5]), load(&self.forward.0));
             let quarters = [
                 [ax.0, ay.0, bx.0, by.0, cx.0, cy.0],
                 [ax.1, ay.1, bx.1, by.1, cx.1, cy.1],
@@ -519,7 +488,7 @@ impl Tile {
                 met &= met - 1;
                 let (exact, ray) = (distances[k], half + k);
                 let distance = exact as f32;
-                if distance <= self.from[ray] || distance > self.until[ray] {
+                if distance <= self.from.0[ray] || distance > self.until.0[ray] {
                     continue;
                 }
                 if is_passed {
@@ -531,11 +500,11 @@ impl Tile {
                 if !is_nearest {
                     continue;
                 }
-                self.until[ray] = distance;
+                self.until.0[ray] = distance;
                 self.exact[ray] = exact;
                 self.triangle[ray] = number;
-                let reach = distance * self.forward[ray].abs();
-                self.reach[ray] = reach + reach.abs() * 1e-6;
+                let reach = distance * self.forward.0[ray].abs();
+                self.reach.0[ray] = reach + reach.abs() * 1e-6;
             }
         }
     }

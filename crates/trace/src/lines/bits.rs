@@ -13,6 +13,9 @@ use super::grid::Slot;
 /// The number of rows that share one mark of change.
 const GROUP: usize = 16;
 
+/// The number of parts of the table of which all cores make columns.
+const COLUMN_PARTS: usize = 16;
+
 /// A bit for each triangle and cell.
 pub struct SeenBits {
     words: usize,
@@ -178,20 +181,37 @@ impl SeenBits {
         self.before = items;
     }
 
-    /// Returns the triangles seen from each cell of a word, in ascending order.
-    pub fn columns(&self, word: u32) -> Vec<Vec<u32>> {
-        let mut columns = vec![Vec::new(); 64];
-        for (triangle, bits) in self
+    /// Returns the triangles seen from each cell, in ascending order, indexed by [`Slot::index`].
+    pub fn columns(&self) -> Vec<Vec<u32>> {
+        let rows = self.before.len() / self.words;
+        let part = rows.div_ceil(COLUMN_PARTS).max(GROUP);
+        let parts: Vec<Vec<Vec<u32>>> = self
             .before
-            .iter()
-            .skip(word as usize)
-            .step_by(self.words)
-            .enumerate()
-        {
-            let mut rest = *bits;
-            while rest != 0 {
-                columns[rest.trailing_zeros() as usize].push(triangle as u32);
-                rest &= rest - 1;
+            .par_chunks(part * self.words)
+            .zip(0..COLUMN_PARTS)
+            .map(|(rows, at)| self.columns_of(rows, at * part))
+            .collect();
+        (0..self.words * 64)
+            .into_par_iter()
+            .map(|cell| {
+                let parts = parts.iter().map(|part| &part[cell]);
+                let mut column = Vec::with_capacity(parts.clone().map(Vec::len).sum());
+                parts.for_each(|part| column.extend_from_slice(part));
+                column
+            })
+            .collect()
+    }
+
+    /// Returns the triangles of some rows, the first of which is `first`, that are seen from each cell.
+    fn columns_of(&self, rows: &[u64], first: usize) -> Vec<Vec<u32>> {
+        let mut columns = vec![Vec::new(); self.words * 64];
+        for (triangle, row) in (first as u32..).zip(rows.chunks_exact(self.words)) {
+            for (word, bits) in row.iter().enumerate() {
+                let mut rest = *bits;
+                while rest != 0 {
+                    columns[word * 64 + rest.trailing_zeros() as usize].push(triangle);
+                    rest &= rest - 1;
+                }
             }
         }
         columns

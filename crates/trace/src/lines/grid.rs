@@ -169,6 +169,17 @@ impl CellGrid {
         }
     }
 
+    /// Returns the cell whose bit is in a place. Places that no cell has give coordinates outside the block.
+    pub fn cell_in(&self, slot: Slot) -> [u32; 3] {
+        let ([sx, sy, sz], [bx, by, _]) = (self.side, self.bricks);
+        let within = |from: u32, side: u32| slot.bit >> from & ((1 << side) - 1);
+        [
+            (slot.word % bx) << sx | within(0, sx),
+            (slot.word / bx % by) << sy | within(sx, sy),
+            (slot.word / bx / by) << sz | within(sx + sy, sz),
+        ]
+    }
+
     /// Returns true if the block contains a cell with these coordinates.
     pub fn has(&self, c: [u32; 3]) -> bool {
         (0..3).all(|a| c[a] < self.cells[a])
@@ -362,6 +373,7 @@ mod tests {
             let slots: std::collections::BTreeSet<usize> =
                 g.each().map(|c| g.slot(c).index()).collect();
             assert_eq!(slots.len(), g.count());
+            assert!(g.each().all(|c| g.cell_in(g.slot(c)) == c));
         }
     }
 

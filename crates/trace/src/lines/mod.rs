@@ -6,6 +6,7 @@
 pub mod bits;
 pub mod device;
 pub mod grid;
+pub mod packet_walk;
 pub mod pairs;
 pub mod tally;
 

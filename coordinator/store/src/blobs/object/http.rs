@@ -110,3 +110,20 @@ impl http_body::Body for Body {
         self.0.size_hint()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_longer_files_than_limit_are_rejected_unread() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ca.pem");
+        let error = |length: u64| {
+            std::fs::write(&path, vec![b'x'; length as usize]).unwrap();
+            authorities(&path).unwrap_err()
+        };
+        assert!(error(MOST_CA + 1).contains("more than"));
+        assert!(!error(MOST_CA).contains("more than"));
+    }
+}
