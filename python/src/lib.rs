@@ -20,6 +20,8 @@ fn _sightline(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(work::plan, module)?)?;
     module.add_function(wrap_pyfunction!(work::tile, module)?)?;
     module.add_function(wrap_pyfunction!(work::assemble, module)?)?;
+    module.add_function(wrap_pyfunction!(work::cells, module)?)?;
+    module.add_function(wrap_pyfunction!(work::unite, module)?)?;
     module.add_function(wrap_pyfunction!(work::measure, module)?)?;
     module.add_function(wrap_pyfunction!(work::verify, module)?)
 }

@@ -132,6 +132,10 @@ impl Pvs {
     #[getter]
     fn grid(&self) -> Option<(u32, u32, u32)> {
         let info: serde_json::Value = serde_json::from_str(self.0.info_json()).ok()?;
+        // Cells by cost are boxes of the cells of the grid.
+        if info.get("cells_by_cost").is_some() {
+            return None;
+        }
         let grid = find_field(&info["spec"], "grid")?;
         let along = |axis: &str| u32::try_from(grid[axis].as_u64()?).ok();
         Some((along("x")?, along("y")?, along("z")?))

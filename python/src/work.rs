@@ -6,8 +6,8 @@ use pyo3::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
 use sightline::{
-    JobOptions, LoadOptions, Local, MeasureOptions, NamedResult, TracerSearch, VerifyOptions,
-    read_scene, tiles,
+    CellsByCost, JobOptions, LoadOptions, Local, MeasureOptions, NamedResult, TracerSearch,
+    VerifyOptions, read_scene, tiles,
 };
 
 use crate::errors::parse;
@@ -105,6 +105,44 @@ pub fn measure(
         sightline::measure(&source, result, &options, observer)
     })?;
     Ok(serde_json::json!(report).to_string())
+}
+
+/// Returns the choice of cells by cost in a JSON object of options.
+fn choice(options: &str) -> Result<CellsByCost, sightline::Error> {
+    let value: Value = serde_json::from_str(options).map_err(sightline::Error::internal)?;
+    let options = JobOptions::from_json(&value)?.by_cost;
+    options
+        .choice()?
+        .ok_or_else(|| sightline::Error::usage("give cell_budget or byte_budget"))
+}
+
+/// Finds cells by cost in a result. Returns the document of `sightline cells --json`.
+#[pyfunction]
+pub fn cells(py: Python<'_>, pvs: &Bound<'_, Pvs>, options: &str) -> PyResult<String> {
+    let pvs = pvs.get();
+    let result = NamedResult::new(&pvs.0, Path::new(RESULT));
+    let found = wait(py, None, |observer| {
+        let choice = choice(options)?;
+        sightline::cell_divisions(result, choice.budget(), choice.cost(), observer)
+    })?;
+    Ok(serde_json::json!(found).to_string())
+}
+
+/// Writes the result of cells by cost of a fine result.
+#[pyfunction]
+pub fn unite(
+    py: Python<'_>,
+    pvs: &Bound<'_, Pvs>,
+    output: PathBuf,
+    options: &str,
+    viewpoints: Option<PathBuf>,
+) -> PyResult<()> {
+    let pvs = pvs.get();
+    let result = NamedResult::new(&pvs.0, Path::new(RESULT));
+    wait(py, None, |observer| {
+        let choice = choice(options)?;
+        sightline::unite_cells(result, &choice, viewpoints.as_deref(), &output, observer).map(drop)
+    })
 }
 
 /// Verifies a result. Returns the document of `sightline verify --json`.

@@ -73,16 +73,15 @@ mod verify;
 pub mod viewpoints;
 pub mod words;
 
-pub use sightline_model::{JobSpec, TracerChoice};
+pub use sightline_assemble::CellDivision;
+pub use sightline_model::{CellBudget, CellCost, CellsByCost, JobSpec, TracerChoice, numbers};
 pub use sightline_proto::connection::Credentials;
 pub use sightline_pvs::Pvs;
 pub use sightline_scene::{Scene, TriangleId};
 pub use sightline_viewcells::CellIndex;
 
 pub use crate::ambient::{AmbientResult, OrderedReceivers};
-pub use crate::cell_budget::{
-    CellBudget, CellCost, CellDivision, CellDivisions, CellOfBudget, HullPoint, cell_divisions,
-};
+pub use crate::cell_budget::{CellDivisions, CellOfBudget, cell_divisions, unite_cells};
 pub use crate::client::{
     Client, CredentialFiles, Endpoint, Estimate, Invalidation, Job, JobAction, JobFilter,
     JobHandle, JobList, Submission, WorkerList,
@@ -94,7 +93,9 @@ pub use crate::explain::{
 pub use crate::local::{Baked, Local, TracerSearch, ambient, bake, bake_after};
 pub use crate::measure::{FrameReport, MeasureOptions, MeasureReport, measure, measure_in};
 pub use crate::observer::{JobProgress, Note, Observer, Progress, Silent, TimeLeft};
-pub use crate::options::{Cells, CubeOptions, JobOptions, ViewpointOptions};
+pub use crate::options::{
+    ByteSize, CellBudgetOptions, Cells, CubeOptions, JobOptions, ViewpointOptions,
+};
 pub use crate::queries::LibraryQueries;
 pub use crate::result::{NamedResult, check_scene, kind_counts, open, without_masks};
 pub use crate::scene::{LoadOptions, SceneSource, read_scene, read_scene_of};

@@ -6,7 +6,8 @@
 use std::collections::BTreeSet;
 
 use serde_json::Value;
-use sightline_pvs::{Builder, CellTree, Header, Node, Object, SET_ASIDE};
+use sightline_model::statistics::VIEWPOINT_WEIGHT;
+use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, SET_ASIDE};
 use sightline_tests::{Dump, Sandbox};
 
 fn number(value: &Value) -> u64 {
@@ -17,19 +18,19 @@ fn corner(value: &Value) -> [f64; 3] {
     [0, 1, 2].map(|axis| value[axis].as_f64().unwrap())
 }
 
-/// Returns the union of the sets of the reached cells inside a box of an answer, and the number of these
-/// cells.
-fn union(dump: &Dump, of_answer: &Value) -> (BTreeSet<u64>, u64) {
+/// Returns the union of the sets of the reached cells inside a box of an answer, and the sum of the weights of
+/// these cells.
+fn union(dump: &Dump, weights: &[u64], of_answer: &Value) -> (BTreeSet<u64>, u64) {
     let (min, max) = (corner(&of_answer["min"]), corner(&of_answer["max"]));
-    let (mut union, mut cells) = (BTreeSet::new(), 0);
-    for cell in &dump.cells {
+    let (mut union, mut weight) = (BTreeSet::new(), 0);
+    for (cell, own) in dump.cells.iter().zip(weights) {
         let middle = cell.middle();
         if cell.reached && (0..3).all(|a| min[a] < middle[a] && middle[a] < max[a]) {
             union.extend(&cell.visible);
-            cells += 1;
+            weight += own;
         }
     }
-    (union, cells)
+    (union, weight)
 }
 
 #[test]
@@ -44,13 +45,20 @@ fn division_has_least_expected_set_and_numbers_of_its_unions() {
     let dump = sandbox.dump("fine.pvs");
     let reached = dump.cells.iter().filter(|c| c.reached).count() as u64;
     assert!(reached > 4 && reached < 48, "{reached}");
+    let columns = Pvs::open(sandbox.path("fine.pvs"))
+        .unwrap()
+        .columns()
+        .unwrap();
+    let weights = columns.into_iter().find(|c| c.name == VIEWPOINT_WEIGHT);
+    let weights = weights.unwrap().values;
+    let whole_weight: u64 = weights.iter().sum();
     let mut last = f64::INFINITY;
     for budget in [1, 2, 5, 48] {
         let found = sandbox.json(&format!("cells fine.pvs --cell-budget {budget}"));
         assert_eq!(number(&found["grid"]["cells"]), reached);
         let (mut sum, mut cells, mut volume) = (0, 0, 0.0);
         for own in found["boxes"].as_array().unwrap() {
-            let (set, viewpoints) = union(&dump, own);
+            let (set, viewpoints) = union(&dump, &weights, own);
             assert_eq!(own["reached"].as_bool().unwrap(), viewpoints > 0);
             assert_eq!(number(&own["cost"]), set.len() as u64, "{own}");
             sum += viewpoints * set.len() as u64;
@@ -64,7 +72,7 @@ fn division_has_least_expected_set_and_numbers_of_its_unions() {
             "the boxes are disjoint"
         );
         let expected = found["chosen"]["expected"].as_f64().unwrap();
-        assert!((expected - sum as f64 / reached as f64).abs() < 1e-9);
+        assert!((expected - sum as f64 / whole_weight as f64).abs() < 1e-9);
         assert_eq!(number(&found["chosen"]["cells"]), cells);
         assert!(
             cells <= budget && expected <= last,
@@ -92,7 +100,7 @@ fn byte_budget_limits_bytes_of_all_kinds_of_costs() {
             assert!(number(&found["chosen"]["cells"]) > 0, "{found}");
             let hull = found["hull"].as_array().unwrap();
             let ascends = |p: &[Value]| {
-                number(&p[0]["size"]) < number(&p[1]["size"])
+                number(&p[0]["bytes"]) < number(&p[1]["bytes"])
                     && p[0]["expected"].as_f64() > p[1]["expected"].as_f64()
             };
             assert!(hull.windows(2).all(ascends), "{found}");
@@ -100,7 +108,7 @@ fn byte_budget_limits_bytes_of_all_kinds_of_costs() {
     }
     let text = sandbox.ok("cells fine.pvs --cell-budget 8 --cost objects");
     assert!(
-        text.contains("of its expected set") && text.contains("cells of other budgets"),
+        text.contains("of its expected set") && text.contains("other budgets:"),
         "{text}"
     );
 }

@@ -175,6 +175,11 @@ pub struct BakeArgs {
     pub kinds: KindArgs,
     #[command(flatten)]
     pub job: JobOptions,
+    /// Unite the sets of a result of the same scene instead of sampling: FINE.pvs, baked with --cells
+    /// NXxNYxNZ. Needs --cell-budget or --byte-budget. Of the other options of a job, only --cost and
+    /// --viewpoints have a use; the file of --viewpoints gives the weights of the fine cells.
+    #[arg(long, value_name = "FINE.pvs")]
+    pub from: Option<PathBuf>,
     /// Workers in this process, 1 to 256. Each worker bakes one tile at a time, and all workers share all
     /// cores. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]

@@ -4,8 +4,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sightline::CellCost;
 use sightline::options::arguments::named;
+use sightline::options::byte_size::parse_byte_size;
+use sightline::{ByteSize, CellCost};
 use sightline_model::{TracerChoice, Up};
 
 use crate::args::kinds::KindArgs;
@@ -13,7 +14,7 @@ use crate::args::kinds::KindArgs;
 /// Find view cells for a budget in the grid of a result, without another bake.
 ///
 /// A cell's set is the union of the sets of the grid cells in it. The expected set is the mean over all
-/// viewpoints, which are equally likely in each grid cell that viewpoints reach. Of the kd-trees over the
+/// viewpoints, which are equally likely in each reached part of a cell (a cell has 4x4x4 parts). Of the kd-trees over the
 /// grid's planes on the lower convex hull of size and expected set, the command finds the tree with the least
 /// expected set within the budget. It prints the number of cells, the bytes of their sets and the expected
 /// set, the same numbers of the grid, and other budgets of the hull. Sets are coded separately here. A result
@@ -29,17 +30,11 @@ pub struct CellsArgs {
     pub cell_budget: Option<u64>,
     /// The largest sum of the sizes of the sets: a number with B, kB, MB or GB. Without a unit, the number is
     /// in bytes.
-    #[arg(long, value_name = "N", value_parser = parse_bytes)]
-    pub byte_budget: Option<u64>,
+    #[arg(long, value_name = "N", value_parser = parse_byte_size)]
+    pub byte_budget: Option<ByteSize>,
     /// The cost of a cell for a viewpoint in it. Default: triangles.
-    #[arg(
-        long,
-        value_enum,
-        value_name = "COST",
-        default_value = "triangles",
-        hide_default_value = true
-    )]
-    pub cost: CellCost,
+    #[arg(long, value_parser = named::<CellCost>())]
+    pub cost: Option<CellCost>,
 }
 
 /// Compare two results cell by cell: the items that the sets gained and lost, their objects, and whether
@@ -217,26 +212,6 @@ pub struct CompletionsArgs {
 pub struct ManArgs {
     /// The folder to write; created if it does not exist.
     pub folder: PathBuf,
-}
-
-/// Parses a number of bytes, with units that are powers of 1000.
-fn parse_bytes(text: &str) -> Result<u64, String> {
-    let digits = text
-        .find(|c: char| !c.is_ascii_digit())
-        .unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let unit = match unit {
-        "" | "B" => Some(1),
-        "kB" => Some(1000),
-        "MB" => Some(1_000_000),
-        "GB" => Some(1_000_000_000),
-        _ => None,
-    };
-    let number = number.parse::<u64>().ok().filter(|n| *n > 0);
-    let bytes = number.zip(unit).and_then(|(n, unit)| n.checked_mul(unit));
-    bytes.ok_or_else(|| {
-        "give a whole number of at least 1 with B, kB, MB or GB, as in 250kB".to_owned()
-    })
 }
 
 /// Parses a fraction from 0 to 1.

@@ -9,6 +9,7 @@ use sightline::{Baked, Error, Local, SceneSource, TracerSearch, bake_after, read
 
 use crate::args::cli::BakeArgs;
 use crate::args::results::ViewArgs;
+use crate::bake::unite;
 use crate::results::info::Summary;
 use crate::results::view;
 use crate::terminal::progress::Terminal;
@@ -24,6 +25,10 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), Error> {
         ));
     }
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
+    if let Some(from) = &args.from {
+        unite::run(&args, from, json)?;
+        return show(args, json);
+    }
     use_threads(threads(None))?;
     // Starting the drivers may take longer than reading most scenes, so it runs in parallel.
     let search = TracerSearch::begin(args.job.backend.unwrap_or_default());
@@ -51,6 +56,11 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), Error> {
     let outcome = bake_after(search, &scene, &job, &local, &terminal);
     terminal.end();
     report(&args, &outcome?, start.elapsed(), json)?;
+    show(args, json)
+}
+
+/// Shows the result in a browser if the user requested this.
+fn show(args: BakeArgs, json: bool) -> Result<(), Error> {
     if !args.view {
         return Ok(());
     }

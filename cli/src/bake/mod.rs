@@ -12,3 +12,4 @@ pub mod assemble;
 pub mod bake;
 pub mod plan;
 pub mod tile;
+pub mod unite;

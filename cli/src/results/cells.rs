@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use sightline::words::plural;
 use sightline::{
-    CellBudget, CellCost, CellDivision, CellDivisions, Error, NamedResult, Silent, cell_divisions,
-    open,
+    CellBudgetOptions, CellCost, CellDivision, CellDivisions, Error, NamedResult, Silent,
+    cell_divisions, open,
 };
 
 use crate::args::results::CellsArgs;
@@ -14,17 +14,21 @@ use crate::terminal::stdout::{print, print_json};
 /// Prints the division of a result's grid with the least expected set for a budget.
 pub fn run(args: &CellsArgs, json: bool) -> Result<(), Error> {
     let pvs = open(&args.result)?;
-    let budget = match (args.cell_budget, args.byte_budget) {
-        (Some(cells), _) => CellBudget::Cells(cells),
-        (None, Some(bytes)) => CellBudget::Bytes(bytes),
-        (None, None) => return Err(Error::usage("give --cell-budget or --byte-budget")),
+    let options = CellBudgetOptions {
+        cell_budget: args.cell_budget,
+        byte_budget: args.byte_budget,
+        cost: args.cost,
+        ..CellBudgetOptions::default()
+    };
+    let Some(choice) = options.choice()? else {
+        return Err(Error::usage("give --cell-budget or --byte-budget"));
     };
     let result = NamedResult::new(&pvs, &args.result);
-    let found = cell_divisions(result, budget, args.cost, &Silent)?;
+    let found = cell_divisions(result, choice.budget(), choice.cost(), &Silent)?;
     if json {
         print_json(&found)
     } else {
-        print(&in_words(&found, budget))
+        print(&in_words(&found))
     }
 }
 
@@ -33,7 +37,7 @@ fn ratio(chosen: f64, grid: f64) -> f64 {
     if grid > 0.0 { chosen / grid } else { 1.0 }
 }
 
-fn in_words(found: &CellDivisions, budget: CellBudget) -> String {
+fn in_words(found: &CellDivisions) -> String {
     let unit = match found.cost {
         CellCost::Triangles => "triangles",
         CellCost::Objects => "objects",
@@ -49,20 +53,19 @@ fn in_words(found: &CellDivisions, budget: CellBudget) -> String {
         )
     };
     let mut text = line(format!("grid of {x}x{y}x{z} cells"), &found.grid);
-    let of_size = match budget {
-        CellBudget::Cells(_) => "cells",
-        CellBudget::Bytes(_) => "bytes",
-    };
     let _ = write!(
         text,
-        "\n{}: {:.2} of the grid's bytes, {:.2} of its expected set\n{of_size} of other budgets, with their \
-         expected sets:",
+        "\n{}: {:.2} of the grid's bytes, {:.2} of its expected set\nother budgets: cells, bytes, expected set",
         line("chosen cells".to_owned(), &found.chosen),
         ratio(found.chosen.bytes as f64, found.grid.bytes as f64),
         ratio(found.chosen.expected, found.grid.expected)
     );
     for point in &found.hull {
-        let _ = write!(text, "\n  {:>10}: {:.1}", point.size, point.expected);
+        let _ = write!(
+            text,
+            "\n  {:>8} {:>12} {:>12.1}",
+            point.cells, point.bytes, point.expected
+        );
     }
     text
 }

@@ -40,6 +40,13 @@ pub struct Summary {
     set_bytes: u64,
     bytes_per_cell: f64,
     mean_visible: f64,
+    /// The expected set: the mean number of triangles to draw over all viewpoints, weighted by the volume that
+    /// viewpoints reach or by the weights of a file of viewpoints.
+    expected: f64,
+    /// The share of the view box's volume that viewpoints reach.
+    reached: f64,
+    /// The digest of the result from which this result was computed. `None` after a full bake.
+    from: Option<String>,
     min_visible: u64,
     max_visible: u64,
     mean_visible_fraction: f64,
@@ -113,6 +120,27 @@ impl CellToCell {
     }
 }
 
+/// Returns the share of the view box's volume that viewpoints reach.
+fn reached_volume(pvs: &Pvs, info: &serde_json::Value) -> Result<f64, PvsError> {
+    let marks = &info["viewpoints"];
+    let is_grid = find_field(&info["spec"], "boxes").is_none();
+    if let (Some(parts), Some(cells), true) =
+        (marks["parts"].as_f64(), marks["cells"].as_f64(), is_grid)
+        && cells > 0.0
+    {
+        return Ok((parts / (PARTS * cells)).min(1.0));
+    }
+    let (mut reached, mut all) = (0.0, 0.0);
+    for cell in 0..pvs.cells() {
+        let volume = info_cells::volume(pvs, cell);
+        all += volume;
+        reached += if pvs.is_reached(cell)? { volume } else { 0.0 };
+    }
+    Ok(if all > 0.0 { reached / all } else { 0.0 })
+}
+
+/// The number of parts of a grid cell that can be marked.
+const PARTS: f64 = 64.0;
 /// The mean fraction of the scene's triangles in a set above which the summary states that walls hide little.
 const MUCH: f64 = 0.5;
 
@@ -173,6 +201,8 @@ impl Summary {
         let bounds = info_cells::bounds(&pvs)?;
         let [cells_unfinished, cells_spared] = info_cells::unfinished_and_spared(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
+        let expected = info_cells::expected_set(&pvs)?;
+        let reached = reached_volume(&pvs, &info)?;
         let cells = sets.len().max(1) as f64;
         let sum: u64 = sizes.iter().sum();
         let [min, max] = pvs.tree().view_box();
@@ -191,6 +221,9 @@ impl Summary {
             set_bytes: visible + undecided_bytes,
             bytes_per_cell: (visible + undecided_bytes) as f64 / cells,
             mean_visible: sum as f64 / cells,
+            expected,
+            reached,
+            from: info["from"].as_str().map(str::to_owned),
             min_visible: sizes.iter().copied().min().unwrap_or(0),
             max_visible: sizes.iter().copied().max().unwrap_or(0),
             mean_visible_fraction: sum as f64 / cells / f64::from(pvs.triangle_count()),
@@ -211,6 +244,28 @@ impl Summary {
             in_region: pvs.region().is_some(),
             info,
         })
+    }
+
+    /// Returns the choice of cells by cost as a sentence; `None` for other cells.
+    fn by_cost_in_words(&self) -> Option<String> {
+        let choice = self.info.get("cells_by_cost")?;
+        let number = |part: &str, name: &str| choice[part][name].as_f64();
+        let unit = choice["cost"].as_str()?;
+        let within = match choice["is_within_budget"].as_bool()? {
+            true => "",
+            false => {
+                "; NOT WITHIN THE BUDGET: these are the smallest cells that the fine grid allows"
+            }
+        };
+        Some(format!(
+            "cells by cost: {} with a set, expected set {:.1} {unit}; {} fine cells have {:.1} {unit} and {:.2} \
+             times the bytes{within}",
+            number("chosen", "cells")?,
+            number("chosen", "expected")?,
+            number("grid", "cells")?,
+            number("grid", "expected")?,
+            number("grid", "bytes")? / number("chosen", "bytes")?.max(1.0),
+        ))
     }
 
     /// Returns the summary as human-readable lines.
@@ -312,6 +367,9 @@ impl Summary {
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
+        if let Some(line) = self.by_cost_in_words() {
+            lines.push(line);
+        }
         if let Some(open) = self.info["tiles_open"].as_u64() {
             lines.push(format!(
                 "NOT FINISHED: {open} tiles of the job were not done; the sets of their cells contain \

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 use sightline::{CellIndex, Error};
 use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
+use sightline_model::statistics::VIEWPOINT_WEIGHT;
 use sightline_pvs::Pvs;
 use sightline_view::{Map, each};
 
@@ -45,6 +46,39 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, names: [&str; 3], cell: usize) ->
     let [lines, misses, look] = names.map(at);
     let look = u32::try_from(look).unwrap_or(u32::MAX);
     (lines > 0).then(|| upper_bound(misses, lines, alpha_of(look)))
+}
+
+/// Returns the volume of a cell, in cubic units of the scene.
+pub fn volume(pvs: &Pvs, cell: u32) -> f64 {
+    let bounds = pvs.cell_bounds(cell);
+    bounds.map_or(0.0, |[min, max]| {
+        (0..3)
+            .map(|axis: usize| f64::from(max[axis]) - f64::from(min[axis]))
+            .product()
+    })
+}
+
+/// Returns the expected set: the mean number of triangles to draw over all viewpoints. The weights of the cells
+/// are a column of the result. Without this column, the weight of a cell with viewpoints is its volume.
+///
+/// # Errors
+/// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.
+pub fn expected_set(pvs: &Pvs) -> Result<f64, Error> {
+    let columns = columns(pvs)?;
+    let weights = columns.get(VIEWPOINT_WEIGHT);
+    let (mut sum, mut all) = (0.0, 0.0);
+    for cell in 0..pvs.cells() {
+        if !pvs.is_reached(cell)? {
+            continue;
+        }
+        let weight = match weights.and_then(|weights| weights.get(cell as usize)) {
+            Some(weight) => *weight as f64,
+            None => volume(pvs, cell),
+        };
+        all += weight;
+        sum += weight * f64::from(pvs.visible_count(cell)?);
+    }
+    Ok(if all > 0.0 { sum / all } else { 0.0 })
 }
 
 /// The columns of the bound on missed triangles: held-out lines, lines that missed, and the number of the

@@ -15,7 +15,9 @@ use sightline::viewpoints::region_of_result;
 use sightline::words::plural;
 use sightline_measure::{Frame, Report, Viewpoints, WorstFrameOptions, measure};
 use sightline_pvs::Pvs;
-use sightline_report::{Blame, Budget, Costs, OverBudget, PageHeader, blame, over_budget, page};
+use sightline_report::{
+    Blame, Budget, Costs, Divisions, OverBudget, PageHeader, blame, over_budget, page,
+};
 use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 
@@ -55,9 +57,11 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), Error> {
         .cells
         .iter()
         .map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
+    let summary = Summary::open(&args.result)?;
     let about = PageHeader {
         title: title(&args.result),
-        summary: Summary::open(&args.result)?.lines(),
+        by_cost: divisions(&summary.info),
+        summary: summary.lines(),
         error: &found.error,
         frames: found.frames,
         cells: sizes.zip(bounds).collect(),
@@ -82,6 +86,22 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), Error> {
         return Err(Error::different(format!("{cells} are over the budget")));
     }
     Ok(())
+}
+
+/// Returns the divisions of a result with cells by cost.
+fn divisions(info: &Value) -> Option<Divisions> {
+    let choice = info.get("cells_by_cost")?;
+    let point =
+        |division: &Value| Some([division["bytes"].as_f64()?, division["expected"].as_f64()?]);
+    Some(Divisions {
+        hull: choice["hull"]
+            .as_array()?
+            .iter()
+            .filter_map(point)
+            .collect(),
+        chosen: point(&choice["chosen"])?,
+        unit: choice["cost"].as_str()?.to_owned(),
+    })
 }
 
 fn title(result: &Path) -> String {

@@ -9,6 +9,7 @@
 //!
 //! - `check`, `placeholder`: the check of an output, and the output of a tile that was set aside.
 //! - `assembly`, `result`: the parts of a result ([`Assembly`]), and the writer.
+//! - `fine_sets`, `cells_by_cost`: the costs of boxes of a fine grid, and the result of cells by cost.
 //! - `columns`, `pairs`, `info`, `summary`: statistics, cell-to-cell visibility, the description of the bake,
 //!   and the facts about the scene ([`SceneSummary`]).
 //! - `openness`: results of ambient occlusion.
@@ -25,8 +26,10 @@
 //! - The crate depends on no tracer, no store and no network.
 
 mod assembly;
+mod cells_by_cost;
 pub mod check;
 mod columns;
+mod fine_sets;
 mod info;
 pub mod openness;
 mod pairs;
@@ -35,7 +38,11 @@ mod result;
 mod summary;
 
 pub use assembly::Assembly;
+pub use cells_by_cost::{ChosenCells, write_cells_by_cost};
 pub use check::{OutputError, check};
+pub use fine_sets::{
+    BoxCosts, CellDivision, FineSets, FineSetsError, UnionCost, fine_planes, leaves,
+};
 pub use placeholder::{expected_nodes, placeholder};
 pub use result::{AssembleError, items, write};
 pub use summary::SceneSummary;

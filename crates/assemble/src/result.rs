@@ -5,17 +5,21 @@
 use std::io::Write;
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{CellSet, CellSets, Granularity, SubtreeNode, TileOutput, Visibility};
+use sightline_model::{
+    CellSet, CellSets, Granularity, MOST_FINE_BYTES, SubtreeNode, TileOutput, Visibility,
+};
 use sightline_pvs::{
-    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Object, PvsError, SET_ASIDE,
-    Source,
+    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Object, Pvs, PvsError,
+    SET_ASIDE, Source,
 };
 use sightline_scene::clusters::clusters;
 use sightline_scene::{Scene, TriangleId};
-use sightline_viewcells::{CellBox, Lattice, Outline, TileIndex};
+use sightline_viewcells::{CellBox, Division, Lattice, Outline, TileIndex};
 
+use crate::cells_by_cost::write_cells_by_cost;
 use crate::check::SceneSize;
 use crate::columns::Statistics;
+use crate::fine_sets::FineSetsError;
 use crate::info::info;
 use crate::pairs::PairJoin;
 use crate::placeholder::empty_cells;
@@ -46,6 +50,9 @@ pub enum AssembleError<E> {
     /// The result cannot be written.
     #[error(transparent)]
     Pvs(#[from] PvsError),
+    /// The cells by cost cannot be chosen.
+    #[error(transparent)]
+    Cells(#[from] FineSetsError),
 }
 
 /// Computes the items of the scene that the sets of a job name. Returns `None` for triangles.
@@ -67,6 +74,21 @@ pub fn items(scene: &Scene, items: Granularity) -> Option<Items> {
 /// # Errors
 /// [`AssembleError`] if an output cannot be read or does not fit the plan, or the result cannot be written.
 pub fn write<O: Outputs>(
+    input: Assembly<'_, O>,
+    task: &Visibility,
+    out: &mut impl Write,
+) -> Result<u64, AssembleError<O::Error>> {
+    let Some(choice) = task.cells_by_cost() else {
+        return write_cells(input, task, out);
+    };
+    let mut fine = Vec::new();
+    write_cells(input, task, &mut fine)?;
+    let fine = Pvs::from_bytes(fine)?;
+    Ok(write_cells_by_cost(&fine, choice, MOST_FINE_BYTES, None, out)?.file_bytes)
+}
+
+/// Writes the result of the cells of the plan.
+fn write_cells<O: Outputs>(
     mut input: Assembly<'_, O>,
     task: &Visibility,
     out: &mut impl Write,
@@ -125,6 +147,8 @@ pub fn write<O: Outputs>(
     }
     let mut pairs = PairJoin::new(task, cells);
     let mut statistics = Statistics::default();
+    let has_weights =
+        task.viewpoints().mask().is_some() && matches!(task.division(), Division::Grid(_));
     for tile in plan.leaves().map(TileIndex) {
         let aside = input.outputs.state(tile) != OutputState::Done;
         let wrong = |reason| AssembleError::Tile { tile, reason };
@@ -154,6 +178,12 @@ pub fn write<O: Outputs>(
             }
             statistics.push(cell);
         }
+        let boxes = boxes(&plan.tiles[tile.at()].cell, &sets.nodes);
+        if has_weights {
+            boxes
+                .iter()
+                .for_each(|at| statistics.push_weight(task.marks(at).count_ones()));
+        }
         if let Some(join) = &mut pairs {
             if let Some(pairs) = &sets.pairs
                 && !join.add_tile(pairs)
@@ -162,7 +192,6 @@ pub fn write<O: Outputs>(
                     "the pairs of cells are over another number of cells than the job's",
                 ));
             }
-            let boxes = boxes(&plan.tiles[tile.at()].cell, &sets.nodes);
             boxes
                 .iter()
                 .zip(&sets.cells)

@@ -11,7 +11,7 @@ use sightline_model::{ALGORITHM_VERSION, Effort};
 use sightline_viewcells::CellBox;
 
 const _: () = assert!(
-    ALGORITHM_VERSION == 30,
+    ALGORITHM_VERSION == 31,
     "the choices in this file belong to another version"
 );
 

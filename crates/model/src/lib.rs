@@ -53,14 +53,14 @@ pub use job::cells::{
 };
 pub use job::message::{USUAL_DEPTH, USUAL_GRID};
 pub use job::names::{
-    CellToCell, Completion, Crediting, Effort, ErrorMeasure, Granularity, MethodName, NO_PROFILE,
-    NamedValue, SamplerName, SupersetChoice, TracerChoice, Up,
+    CellCost, CellToCell, Completion, Crediting, Effort, ErrorMeasure, Granularity, MethodName,
+    NO_PROFILE, NamedValue, SamplerName, SupersetChoice, TracerChoice, Up,
 };
 pub use job::numbers;
 pub use job::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};
 pub use job::{
-    ALGORITHM_VERSION, Ambient, JobSpec, Method, OutOfRange, PlannedJob, SceneFacts, SpecError,
-    Task, UnknownValue, Visibility,
+    ALGORITHM_VERSION, Ambient, CellBudget, CellsByCost, JobSpec, MOST_FINE_BYTES, Method,
+    OutOfRange, PlannedJob, SceneFacts, SpecError, Task, UnknownValue, Visibility,
 };
 pub use output::{
     CellSet, CellSets, Decision, Hits, Pack, SubtreeNode, TileOutput, VisibilitySample, bound,

@@ -89,6 +89,18 @@ fn lines() -> v1::JobSpec {
     aggressive(lines_of(v1::lines::Cells::Grid(grid())))
 }
 
+fn by_cost() -> v1::JobSpec {
+    let budget = Some(v1::cells_by_cost::Budget::CellBudget(5));
+    let cells_by_cost = Some(v1::CellsByCost {
+        budget,
+        ..v1::CellsByCost::default()
+    });
+    aggressive(lines_of(v1::lines::Cells::Grid(v1::GridCells {
+        cells_by_cost,
+        ..grid()
+    })))
+}
+
 fn adaptive() -> v1::JobSpec {
     aggressive(lines_of(v1::lines::Cells::Adaptive(adaptive_cells())))
 }
@@ -181,6 +193,9 @@ const ROWS: &[Row] = &[
     row("visibility.aggressive.sampling.lines.grid.y", 1.0, Some(0.0), Some(8.0), lines),
     row("visibility.aggressive.sampling.lines.grid.z", 1.0, Some(0.0), Some(8.0), lines),
     row("visibility.aggressive.sampling.lines.grid.tile_cells", 1.0, Some(0.0), Some(512.0), lines),
+    row("visibility.aggressive.sampling.lines.grid.cells_by_cost.cell_budget", 1.0, Some(0.0), None, lines),
+    row("visibility.aggressive.sampling.lines.grid.cells_by_cost.byte_budget", 1.0, Some(0.0), None, lines),
+    row("visibility.aggressive.sampling.lines.grid.cells_by_cost.cell_cost", 0.0, None, Some(0.0), by_cost),
     row("visibility.aggressive.sampling.lines.adaptive.triangle_budget", 1.0, Some(0.0), None, adaptive),
     row("visibility.aggressive.sampling.lines.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), adaptive),
     row("visibility.aggressive.sampling.cubes.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), deep_cubes),

@@ -11,7 +11,7 @@ use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section, Written};
 use crate::portals::Portals;
 use crate::tree::{CellTree, Node};
-use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, parse, runs};
+use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, Pvs, SET_ASIDE, parse, runs};
 
 /// The parts of a result that are known before the first cell.
 #[derive(Clone, Debug)]
@@ -171,6 +171,27 @@ impl Builder {
             Items::Clusters(clusters) => clusters.len() as u32,
             Items::Objects { .. } => objects.len() as u32,
         };
+        Ok(())
+    }
+
+    /// Takes the items, the region and the portals of a result of the same scene. Call this function before
+    /// the first cell.
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] if the result has other triangles or objects, or if a cell was already pushed.
+    pub fn copy_scene_parts(&mut self, from: &Pvs) -> Result<(), PvsError> {
+        if self.header.triangles != from.triangle_count() || self.header.objects != from.objects() {
+            return Err(Section::Items.malformed("the results have other triangles or objects"));
+        }
+        if !self.flags.is_empty() {
+            return Err(
+                Section::Items.malformed("a cell was pushed before the items; set the items first")
+            );
+        }
+        self.items = from.part(Section::Items).to_vec();
+        self.item_count = from.item_count();
+        self.region = from.part(Section::Region).to_vec();
+        self.portals = from.part(Section::Portals).to_vec();
         Ok(())
     }
 

@@ -209,7 +209,7 @@ impl Pvs {
         self.bytes.get()
     }
 
-    fn part(&self, section: Section) -> &[u8] {
+    pub(crate) fn part(&self, section: Section) -> &[u8] {
         &self.bytes.get()[self.layout.range(section)]
     }
 

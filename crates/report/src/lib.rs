@@ -27,7 +27,7 @@ pub use blame::{Blame, Blamed, blame};
 pub use budget::{Budget, OverBudget, over_budget};
 pub use costs::{Costs, Group};
 pub use openings::Opening;
-pub use page::{PageHeader, page};
+pub use page::{Divisions, PageHeader, page};
 
 /// The reason why a report cannot be created.
 #[derive(Debug, thiserror::Error)]

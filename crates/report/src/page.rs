@@ -8,7 +8,7 @@ use sightline_numbers::ids::CellIndex;
 
 use crate::blame::Blame;
 use crate::budget::{Budget, OverBudget};
-use crate::plots::{cumulative, percent, scatter};
+use crate::plots::{cumulative, percent, scatter, scatter_with};
 
 /// The smallest value of the logarithmic axes. Frames and cells with a lower error are at the left border.
 const LEAST: f64 = 1e-7;
@@ -42,12 +42,25 @@ pub struct PageHeader<'a> {
     /// The number of triangles in each cell's set, and the bound on the cell's missed sight lines if it is
     /// known.
     pub cells: Vec<(u64, Option<f64>)>,
+    /// The divisions of a result with cells by cost; `None` for other cells.
+    pub by_cost: Option<Divisions>,
     /// The budget; `None` for a report without one.
     pub budget: Option<Budget>,
     /// The cells that exceed the budget, or without a budget the cells that draw most.
     pub over: Vec<OverBudget>,
     /// The objects and openings that are responsible for the costs.
     pub blame: Blame,
+}
+
+/// The divisions of a fine grid into cells by cost, each with the bytes of its sets and its expected set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Divisions {
+    /// Divisions at vertices of the lower convex hull.
+    pub hull: Vec<[f64; 2]>,
+    /// The division of the result.
+    pub chosen: [f64; 2],
+    /// The unit of the expected set.
+    pub unit: String,
 }
 
 /// Formats a point with at most two decimals.
@@ -90,6 +103,7 @@ pub fn page(about: &PageHeader<'_>, base64: &dyn Fn(&[u8]) -> String) -> String 
         escaped(&about.summary.join("\n"))
     );
     error(&mut out, about, base64);
+    divisions(&mut out, about.by_cost.as_ref());
     budget(&mut out, about);
     blame(&mut out, &about.blame);
     out.push_str("</body></html>\n");
@@ -158,6 +172,18 @@ fn error(out: &mut String, about: &PageHeader<'_>, base64: &dyn Fn(&[u8]) -> Str
         );
     }
     out.push_str("</div>");
+}
+
+fn divisions(out: &mut String, by_cost: Option<&Divisions>) {
+    let Some(by_cost) = by_cost else { return };
+    let expected = format!("expected set in {}", escaped(&by_cost.unit));
+    let names = ["bytes of sets", &*expected];
+    let plot = scatter_with(&by_cost.hull, Some(by_cost.chosen), names);
+    let _ = write!(
+        out,
+        "<h2>Cells by cost</h2><p>The expected set and the bytes of the best divisions of the fine grid for \
+         different budgets. The red point is this result.</p><figure>{plot}</figure>"
+    );
 }
 
 fn budget(out: &mut String, about: &PageHeader<'_>) {

@@ -59,7 +59,13 @@ pub fn cumulative(values: &[f64], least: f64, name: &str) -> String {
 
 /// Plots points on linear axes from 0.
 pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
-    let most = |k: usize| points.iter().map(|p| p[k]).fold(0.0, f64::max);
+    scatter_with(points, None, names)
+}
+
+/// Plots points on linear axes from 0. The point `chosen` is red.
+pub fn scatter_with(points: &[[f64; 2]], chosen: Option<[f64; 2]>, names: [&str; 2]) -> String {
+    let all = || points.iter().chain(&chosen);
+    let most = |k: usize| all().map(|p| p[k]).fold(0.0, f64::max);
     let most = [most(0), most(1)].map(|m| if m > 0.0 { m } else { 1.0 });
     let x = |v: f64| LEFT + v / most[0] * (WIDE - LEFT - 10.0);
     let y = |v: f64| 10.0 + (1.0 - v / most[1]) * (HIGH - BOTTOM - 10.0);
@@ -73,6 +79,13 @@ pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
             y(*b)
         );
     }
+    let chosen = chosen.map_or_else(String::new, |[a, b]| {
+        format!(
+            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"#d33\"/>",
+            x(a),
+            y(b)
+        )
+    });
     let ends = format!(
         "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text><text x=\"{:.1}\" y=\"20\" \
          text-anchor=\"end\">{}</text>",
@@ -85,7 +98,7 @@ pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
     framed(
         names[0],
         names[1],
-        &format!("{ends}<g fill=\"#2f7ed8\" fill-opacity=\"0.5\">{dots}</g>"),
+        &format!("{ends}<g fill=\"#2f7ed8\" fill-opacity=\"0.5\">{dots}</g>{chosen}"),
     )
 }
 

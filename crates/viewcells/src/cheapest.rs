@@ -60,14 +60,17 @@ pub struct FineGrid {
 /// The largest number of cells of a fine grid along an axis. A grid of 16×16×16 cells has 2.5
 /// million boxes.
 pub const MOST_FINE_CELLS: usize = 32;
+/// The largest sum of the numbers of cells along the axes, so that no tree is deeper than a result's tree may
+/// be.
+pub const MOST_FINE_SUM: usize = 64;
 /// The largest number of boxes of a fine grid, each of which needs about 50 bytes.
 pub const MOST_FINE_BOXES: usize = 1 << 23;
 
 /// A fine grid with too many boxes, or with an empty axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{x}x{y}x{z} fine cells are not possible; use 1 to {MOST_FINE_CELLS} along each axis, with at most \
-     {MOST_FINE_BOXES} boxes of cells (16x16x16 cells have 2515456)"
+    "{x}x{y}x{z} fine cells are not possible; use 1 to {MOST_FINE_CELLS} along each axis, a sum of at most \
+     {MOST_FINE_SUM}, and at most {MOST_FINE_BOXES} boxes of cells (16x16x16 cells have 2515456)"
 )]
 pub struct FineGridError {
     x: usize,
@@ -88,7 +91,9 @@ impl FineGrid {
         let [x, y, z] = cells;
         let fits = |n: &usize| (1..=MOST_FINE_CELLS).contains(n);
         let boxes = || cells.iter().map(|n| intervals(*n)).product::<usize>();
-        if !cells.iter().all(fits) || boxes() > MOST_FINE_BOXES {
+        // A tree over the grid has a depth of at most x + y + z − 3.
+        let is_deep = x.saturating_add(y).saturating_add(z) > MOST_FINE_SUM;
+        if !cells.iter().all(fits) || is_deep || boxes() > MOST_FINE_BOXES {
             return Err(FineGridError { x, y, z });
         }
         Ok(Self { cells })
@@ -215,23 +220,24 @@ impl CheapestTrees {
         Ok(small)
     }
 
-    /// Returns vertices of the hull with ascending sizes: the smallest tree, the cheapest tree, and vertices
-    /// between them, at most `most` if `most` is above 1. The largest gaps between costs are filled first.
-    pub fn hull(&self, most: usize) -> Vec<BoxCost> {
-        let mut vertices = vec![self.smallest().total];
-        let cheapest = self.cheapest().total;
-        if cheapest != vertices[0] {
+    /// Returns trees at vertices of the hull with ascending sizes: the smallest tree, the cheapest tree, and
+    /// vertices between them, at most `most` if `most` is above 1. The largest gaps between costs are filled
+    /// first.
+    pub fn hull(&self, most: usize) -> Vec<CheapestTree> {
+        let mut vertices = vec![self.smallest()];
+        let cheapest = self.cheapest();
+        if cheapest.total != vertices[0].total {
             vertices.push(cheapest);
         }
         // True for each edge between two vertices that may have a vertex below it.
         let mut open = vec![true; vertices.len() - 1];
         while vertices.len() < most {
-            let gap = |at: &usize| vertices[*at].cost - vertices[at + 1].cost;
+            let gap = |at: &usize| vertices[*at].total.cost - vertices[at + 1].total.cost;
             let widest = (0..open.len()).filter(|at| open[*at]).max_by_key(gap);
             let Some(at) = widest else { break };
-            match self.between(vertices[at], vertices[at + 1]) {
+            match self.between(vertices[at].total, vertices[at + 1].total) {
                 Some(tree) => {
-                    vertices.insert(at + 1, tree.total);
+                    vertices.insert(at + 1, tree);
                     open.insert(at + 1, true);
                 }
                 None => open[at] = false,
@@ -241,7 +247,7 @@ impl CheapestTrees {
     }
 
     /// Finds the tree with the least size, and of these the least cost.
-    fn smallest(&self) -> CheapestTree {
+    pub fn smallest(&self) -> CheapestTree {
         self.priced(Price { above: 1, below: 0 })
     }
 
@@ -430,7 +436,9 @@ mod tests {
             let whole = FineBox { lo: [0; 3], hi: cells };
             let totals = all_trees(&search, whole, &mut BTreeMap::new());
             let hull = hull_of(&totals);
-            prop_assert_eq!(search.hull(usize::MAX), hull.clone());
+            let found = search.hull(usize::MAX);
+            let found: Vec<BoxCost> = found.iter().map(|tree| tree.total).collect();
+            prop_assert_eq!(found, hull.clone());
             for budget in 0..=hull.last().unwrap().size + 2 {
                 let best = hull.iter().rfind(|vertex| vertex.size <= budget);
                 match search.within(budget) {

@@ -19,7 +19,7 @@ from ._client import Client, Job
 from ._errors import CoordinatorError, Error, InputError, JobError, OptionError, Refused, SightlineError
 from ._progress import Progress
 from ._sightline import Pvs
-from ._work import assemble, bake, measure, plan, tile, verify
+from ._work import assemble, bake, cells, measure, plan, tile, unite, verify
 
 __all__ = [
     "Client",
@@ -35,8 +35,10 @@ __all__ = [
     "SightlineError",
     "assemble",
     "bake",
+    "cells",
     "measure",
     "plan",
     "tile",
+    "unite",
     "verify",
 ]

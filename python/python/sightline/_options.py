@@ -42,6 +42,10 @@ class JobOptions(KindOptions, total=False):
     cell_size: float
     triangle_budget: int
     max_depth: int
+    cell_budget: int
+    byte_budget: Union[int, str]
+    fine: Union[int, str, Sequence[int]]
+    cost: str
     sampler: str
     target_error: float
     max_error: float
@@ -119,6 +123,10 @@ def _duration(value: Any, folder: str) -> Union[str, float]:
     return value if isinstance(value, str) else _number(value, folder)
 
 
+def _bytes(value: Any, folder: str) -> Union[str, int]:
+    return value if isinstance(value, str) else _whole(value, folder)
+
+
 def _cells(value: Any, folder: str) -> Union[str, List[int]]:
     if isinstance(value, str):
         return value
@@ -172,8 +180,8 @@ _CONVERT: Dict[str, Convert] = {
     ),
     **dict.fromkeys(("see_through", "occluder_only", "moving", "doors", "opaque"), _globs),
     **dict.fromkeys(
-        ("triangle_budget", "max_depth", "block_cells", "rays", "resolution", "seed", "workers", "priority")
-        + ("pairs", "sample"),
+        ("triangle_budget", "max_depth", "cell_budget", "block_cells", "rays", "resolution", "seed", "workers")
+        + ("priority", "pairs", "sample"),
         _whole,
     ),
     **dict.fromkeys(
@@ -183,14 +191,16 @@ _CONVERT: Dict[str, Convert] = {
     ),
     **dict.fromkeys(
         ("method", "sampler", "credit", "granularity", "complete", "cell_to_cell", "up", "error_measure", "superset", "backend")
-        + ("name", "user", "request_id", "traces"),
+        + ("cost", "name", "user", "request_id", "traces"),
         _word,
     ),
     **dict.fromkeys(
         ("view_mesh", "data_dir", "output", "path", "images", "traces_ca", "ca", "cert", "key", "token_file"), _path
     ),
     "time_budget": _duration,
+    "byte_budget": _bytes,
     "cells": _cells,
+    "fine": _cells,
     "view_box": _rows(6),
     "eye_heights": _heights,
     "reachable_from": _rows(3),

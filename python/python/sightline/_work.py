@@ -40,6 +40,7 @@ def bake(
 
     The options are the options of `sightline bake`, including:
       cells=(8, 8, 8), or 8, or "walls:64"; cell_size; triangle_budget and max_depth
+      cell_budget=64 or byte_budget="2MB", with fine=(16, 8, 16) and cost="triangles", "objects" or "bytes"
       view_box=(x0, y0, z0, x1, y1, z1), or several; reachable_from=(x, y, z); viewpoints=array or file; view_mesh=file
       target_error=0.0001; max_error; min_share; time_budget=30 (seconds) or "5m"
       method="aggressive", "exact", "verified" or "portals"; certificates=True
@@ -166,6 +167,51 @@ def verify(
     if not told["accepted"]:
         raise Refused(told["reason"], told.get("cell"))
     return told
+
+
+def cells(
+    pvs: Union[Pvs, _options.Path],
+    *,
+    cell_budget: Optional[int] = None,
+    byte_budget: Optional[Union[int, str]] = None,
+    cost: Optional[str] = None,
+) -> Dict[str, Any]:
+    """Finds the view cells with the least expected set for a budget in the grid of a result, as `sightline cells`
+    does.
+
+    cell_budget: the maximum number of cells with viewpoints.
+    byte_budget: the maximum sum of the sizes of their sets, as a number of bytes or a text such as "2MB".
+    cost: "triangles" (default), "objects" or "bytes".
+
+    Returns the JSON object of the command: `fine`, `grid`, `chosen`, `boxes` and `hull`.
+    """
+    given: Dict[str, Any] = {"cell_budget": cell_budget, "byte_budget": byte_budget, "cost": cost}
+    options = _options.values("cells", given, given, "")
+    return _object(_sightline.cells(_opened(pvs), json.dumps(options)))
+
+
+def unite(
+    pvs: Union[Pvs, _options.Path],
+    output: _options.Path,
+    *,
+    cell_budget: Optional[int] = None,
+    byte_budget: Optional[Union[int, str]] = None,
+    cost: Optional[str] = None,
+    viewpoints: Optional[Union[_options.Path, Sequence[Sequence[float]]]] = None,
+) -> Pvs:
+    """Writes the result `output` with the view cells that `cells` finds in a result of a fine grid, as
+    `sightline bake --from` does, and returns it. The set of a cell is the union of the sets of its fine cells.
+
+    viewpoints: an array of points (with optional weights in a fourth column), or a file. The weight of a fine cell is
+      the sum of the weights of its points. Default: the number of its parts that contain viewpoints.
+    """
+    given: Dict[str, Any] = {"cell_budget": cell_budget, "byte_budget": byte_budget, "cost": cost}
+    given["viewpoints"] = viewpoints
+    with _options.folder() as folder:
+        options = _options.values("unite", given, given, folder)
+        file = options.pop("viewpoints", None)
+        _sightline.unite(_opened(pvs), os.fspath(output), json.dumps(options), file)
+    return Pvs(output)
 
 
 def _opened(pvs: Union[Pvs, _options.Path]) -> Pvs:

@@ -4,15 +4,19 @@ use std::sync::Arc;
 
 use sightline_model::numbers::{TileCells, TriangleBudget};
 use sightline_model::{
-    Adaptive, BoxCells, CubeGrid, GridCells, KnownCells, SpecError, USUAL_GRID, Viewpoints,
+    Adaptive, BoxCells, CellBudget, CellsByCost, CubeGrid, GridCells, KnownCells, SpecError,
+    USUAL_GRID, Viewpoints,
 };
 use sightline_scene::{Aabb, Scene, Triangle};
+use sightline_viewcells::cheapest::FineGrid;
 use sightline_viewcells::{DivisionError, KdTree, Lattice, axis_name};
 
 use super::cells::Cells;
 use super::job_options::JobOptions;
 use crate::error::Error;
 use crate::observer::Observer;
+use crate::viewpoints::read_viewpoints;
+use crate::viewpoints::weights::{cell_weights, grid_planes};
 
 /// Returns the numbers of cells along x, y and z: the smallest numbers for which the sides of a cell are at
 /// most `size`.
@@ -21,6 +25,39 @@ fn cells_of_size(view_box: Aabb, size: f64) -> [u32; 3] {
     (view_box.max.as_dvec3() - view_box.min.as_dvec3())
         .to_array()
         .map(|extent| ((extent / size).ceil() as u32).max(1))
+}
+
+/// The numbers of fine cells for each cell of a budget, and the least and the largest numbers of fine cells.
+const FINE_PER_CELL: u64 = 8;
+const LEAST_FINE: u64 = 512;
+const MOST_FINE: u64 = 1728;
+
+/// Returns the default fine grid: eight fine cells for each cell of the budget, at least 512 and at most 1728.
+/// The cells are approximately cubes.
+fn usual_fine_cells(view_box: Aabb, budget: CellBudget) -> [u32; 3] {
+    let wanted = match budget {
+        CellBudget::Cells(cells) => (cells.get() * FINE_PER_CELL).clamp(LEAST_FINE, MOST_FINE),
+        CellBudget::Bytes(_) => MOST_FINE,
+    };
+    let extents = (view_box.max.as_dvec3() - view_box.min.as_dvec3()).to_array();
+    let mut sides = [1u32; 3];
+    // The axis with the longest cells gets another cell, while the grid has fewer cells than wanted.
+    loop {
+        let length = |axis: usize| extents[axis] / f64::from(sides[axis]);
+        let mut longest = 0;
+        for axis in 1..3 {
+            if length(axis) > length(longest) {
+                longest = axis;
+            }
+        }
+        let mut finer = sides;
+        finer[longest] += 1;
+        let count: u64 = finer.map(u64::from).iter().product();
+        if count > wanted || FineGrid::new(finer.map(|side| side as usize)).is_err() {
+            return sides;
+        }
+        sides = finer;
+    }
 }
 
 /// A maker of a job's cells from its options.
@@ -54,7 +91,9 @@ impl CellMaker<'_> {
         // Proofs apply to whole cells, so walls do not restrict viewpoints with certificates.
         let walls = !self.options.certificates;
         let viewpoints = self.viewpoints(grid.sides(), grid.cells().lattice(), walls)?;
-        Ok(grid.with_viewpoints(viewpoints).map(KnownCells::Grid)?)
+        let by_cost = self.by_cost(grid.sides(), grid.cells().lattice(), &viewpoints)?;
+        let grid = grid.with_viewpoints(viewpoints)?;
+        Ok(grid.with_cells_by_cost(by_cost).map(KnownCells::Grid)?)
     }
 
     /// Creates cells with the view box as a single box.
@@ -66,13 +105,13 @@ impl CellMaker<'_> {
     /// Creates the grid of visibility cubes. Cubes are at the points of the lattice and have no region.
     pub(super) fn cube_grid(&self) -> Result<CubeGrid, Error> {
         let grid = CubeGrid::new(self.view_box, self.sides()?).map_err(|e| self.explain(e))?;
-        match self
-            .viewpoints(grid.sides(), grid.cells().lattice(), false)?
-            .mask()
-        {
-            Some(mask) => Ok(grid.with_mask(Arc::clone(mask))?),
-            None => Ok(grid),
-        }
+        let viewpoints = self.viewpoints(grid.sides(), grid.cells().lattice(), false)?;
+        let by_cost = self.by_cost(grid.sides(), grid.cells().lattice(), &viewpoints)?;
+        let grid = match viewpoints.mask() {
+            Some(mask) => grid.with_mask(Arc::clone(mask))?,
+            None => grid,
+        };
+        Ok(grid.with_cells_by_cost(by_cost)?)
     }
 
     /// Creates the cells of an adaptive tree.
@@ -92,8 +131,40 @@ impl CellMaker<'_> {
         })
     }
 
+    /// Returns the choice of cells by cost; `None` without a budget.
+    fn by_cost(
+        &self,
+        cells: [u32; 3],
+        lattice: &Lattice,
+        viewpoints: &Viewpoints,
+    ) -> Result<Option<CellsByCost>, Error> {
+        let Some(choice) = self.options.by_cost.choice()? else {
+            return Ok(None);
+        };
+        let options = &self.options.viewpoints;
+        let Some(file) = options.viewpoints.as_ref().filter(|_| !self.is_trial) else {
+            return Ok(Some(choice));
+        };
+        let points = read_viewpoints(file)?;
+        let planes = grid_planes(lattice, cells);
+        let mask = viewpoints.mask().map(|mask| &**mask);
+        let Some(weights) = cell_weights(&points, &planes, mask) else {
+            return Err(Error::input(format!(
+                "{}: no viewpoint is in a cell that the options allow; give other viewpoints or fewer of \
+                 --view-box, --view-mesh and --reachable-from",
+                file.display()
+            ))
+            .about("viewpoints"));
+        };
+        Ok(Some(choice.with_weights(weights)?))
+    }
+
     /// Returns the number of cells of the grid along each axis.
     fn sides(&self) -> Result<[u32; 3], Error> {
+        if let Some(choice) = self.options.by_cost.choice()? {
+            let usual = || usual_fine_cells(self.view_box, choice.budget());
+            return Ok(self.options.by_cost.fine.unwrap_or_else(usual));
+        }
         Ok(match (self.options.cell_size, self.options.cells) {
             (Some(size), _) if size.is_finite() && size > 0.0 => cells_of_size(self.view_box, size),
             (Some(size), _) => {

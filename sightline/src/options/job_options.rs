@@ -11,6 +11,7 @@ use sightline_model::{
 
 #[cfg(feature = "clap")]
 use super::arguments;
+use super::cell_budget::CellBudgetOptions;
 use super::cells::Cells;
 #[cfg(feature = "clap")]
 use super::cells::parse_cells;
@@ -70,6 +71,10 @@ pub struct JobOptions {
     /// Deepest level of the adaptive tree, 1 to 22. Needs --triangle-budget. Default: 12.
     #[cfg_attr(feature = "clap", arg(long, value_name = "D"))]
     pub max_depth: Option<u32>,
+    /// The options of cells by cost.
+    #[serde(flatten)]
+    #[cfg_attr(feature = "clap", command(flatten))]
+    pub by_cost: CellBudgetOptions,
     /// The sampler. Default: lines; for adaptive trees deeper than 12: cubes.
     #[cfg_attr(feature = "clap", arg(long, value_parser = arguments::named::<SamplerName>()))]
     pub sampler: Option<SamplerName>,

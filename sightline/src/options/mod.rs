@@ -2,6 +2,8 @@
 
 #[cfg(feature = "clap")]
 pub mod arguments;
+pub mod byte_size;
+mod cell_budget;
 mod cell_maker;
 mod cells;
 mod job_options;
@@ -11,6 +13,8 @@ pub mod text;
 mod unused;
 mod viewpoints;
 
+pub use self::byte_size::ByteSize;
+pub use self::cell_budget::CellBudgetOptions;
 pub use self::cells::{Cells, parse_cells};
 pub use self::job_options::{CubeOptions, JobOptions};
 pub use self::viewpoints::ViewpointOptions;

@@ -1,13 +1,17 @@
 //! The names of the options, as the command line spells them.
 
 /// The names of all options, without dashes.
-const NAMES: [&str; 35] = [
+const NAMES: [&str; 39] = [
     "method",
     "certificates",
     "cells",
     "cell-size",
     "triangle-budget",
     "max-depth",
+    "cell-budget",
+    "byte-budget",
+    "fine",
+    "cost",
     "sampler",
     "target-error",
     "max-error",

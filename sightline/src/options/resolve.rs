@@ -131,6 +131,15 @@ impl JobOptions {
         let numbers = self.numbers()?;
         self.viewpoints.check()?;
         self.note_unused(observer)?;
+        let viewpoints = &self.viewpoints;
+        if self.by_cost.is_given() && viewpoints.viewpoints.is_some() && viewpoints.reach.is_none()
+        {
+            return Err(Error::usage(
+                "cells by cost with --viewpoints need --reach R: every place within R of a viewpoint then has \
+                 a set",
+            )
+            .about("reach"));
+        }
         let method = self.method.unwrap_or_default();
         let tracer = self.backend.unwrap_or_default().0;
         let tracer = tracer.filter(|_| method != MethodName::Portals);

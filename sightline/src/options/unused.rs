@@ -50,8 +50,21 @@ const NEEDS: &[(&str, &str)] = &[
         "--time-budget",
         "--method portals, or --sampler lines or guided",
     ),
-    ("--cells", "a job without --triangle-budget"),
-    ("--cell-size", "a job without --cells and --triangle-budget"),
+    (
+        "--cells",
+        "a job without --triangle-budget and without --cell-budget and --byte-budget",
+    ),
+    (
+        "--cell-size",
+        "a job without --cells, --triangle-budget, --cell-budget and --byte-budget",
+    ),
+    ("--cell-budget", "a job without --triangle-budget"),
+    (
+        "--byte-budget",
+        "a job without --cell-budget and --triangle-budget",
+    ),
+    ("--fine", "--cell-budget or --byte-budget"),
+    ("--cost", "--cell-budget or --byte-budget"),
     ("--max-depth", "--triangle-budget"),
     ("--eye-heights", "--view-mesh"),
     ("--reach", "--viewpoints"),
@@ -121,6 +134,10 @@ impl JobOptions {
             ("--cells walls:N", has_walls),
             ("--cells", self.cells.is_some()),
             ("--cell-size", self.cell_size.is_some()),
+            ("--cell-budget", self.by_cost.cell_budget.is_some()),
+            ("--byte-budget", self.by_cost.byte_budget.is_some()),
+            ("--fine", self.by_cost.fine.is_some()),
+            ("--cost", self.by_cost.cost.is_some()),
             ("--max-depth", self.max_depth.is_some()),
             ("--max-error", self.max_error.is_some()),
             ("--min-share", self.min_share.is_some()),
@@ -147,10 +164,17 @@ impl JobOptions {
         let backend = self.backend.unwrap_or_default();
         let is_adaptive = self.triangle_budget.is_some();
         let has_walls = matches!(self.cells, Some(Cells::Walls(_)));
-        match (is_adaptive, self.cells.is_some()) {
-            (true, _) => given.take(&["--max-depth"]),
-            (false, true) => given.take(&["--cells"]),
-            (false, false) => given.take(&["--cell-size"]),
+        match (is_adaptive, self.by_cost.is_given(), self.cells.is_some()) {
+            (true, _, _) => given.take(&["--max-depth"]),
+            (false, true, _) => {
+                given.take(&["--fine", "--cost"]);
+                given.take(match self.by_cost.cell_budget {
+                    Some(_) => &["--cell-budget"],
+                    None => &["--byte-budget"],
+                });
+            }
+            (false, false, true) => given.take(&["--cells"]),
+            (false, false, false) => given.take(&["--cell-size"]),
         }
         if self.viewpoints.view_mesh.is_some() {
             given.take(&["--eye-heights"]);

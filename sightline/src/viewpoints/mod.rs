@@ -2,6 +2,7 @@
 
 mod outliers;
 mod walls;
+pub(crate) mod weights;
 
 use std::io::BufReader;
 use std::path::Path;

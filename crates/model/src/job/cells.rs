@@ -10,8 +10,8 @@ use sightline_viewcells::{
     USUAL_BLOCK_CELLS,
 };
 
-use super::SpecError;
 use super::numbers::{TileCells, TriangleBudget};
+use super::{CellsByCost, SpecError};
 
 /// Maximum depth of an adaptive tree that sight lines sample. Visibility cubes sample deeper trees.
 pub const MOST_LINE_DEPTH: u32 = 12;
@@ -159,12 +159,23 @@ fn check_viewpoints(cells: &Cells, viewpoints: &Viewpoints) -> Result<(), SpecEr
     }
 }
 
+/// Checks a choice of view cells for a grid with these numbers of cells.
+fn checked(
+    by_cost: Option<CellsByCost>,
+    sides: [u32; 3],
+) -> Result<Option<Arc<CellsByCost>>, SpecError> {
+    by_cost
+        .map(|by_cost| by_cost.check(sides).map(|()| Arc::new(by_cost)))
+        .transpose()
+}
+
 /// A grid of view cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridCells {
     cells: Cells,
     tile_cells: TileCells,
     viewpoints: Viewpoints,
+    by_cost: Option<Arc<CellsByCost>>,
 }
 
 impl GridCells {
@@ -178,6 +189,7 @@ impl GridCells {
             cells: Cells::new(view_box, Division::Grid(cells))?,
             tile_cells: TileCells::default(),
             viewpoints: Viewpoints::Everywhere,
+            by_cost: None,
         })
     }
 
@@ -206,10 +218,26 @@ impl GridCells {
         Ok(Self { viewpoints, ..self })
     }
 
+    /// Chooses the view cells of the result among the boxes of the grid's cells. Without a choice, every cell
+    /// of the grid is a view cell.
+    ///
+    /// # Errors
+    /// [`SpecError`] if the grid is too fine, or if the choice has weights for other cells.
+    pub fn with_cells_by_cost(self, by_cost: Option<CellsByCost>) -> Result<Self, SpecError> {
+        let by_cost = checked(by_cost, self.sides())?;
+        Ok(Self { by_cost, ..self })
+    }
+
     /// Sets the viewpoints from the bytes of a message.
     pub(super) fn with_encoded_viewpoints(self, bytes: &[u8]) -> Result<Self, SpecError> {
         let viewpoints = Viewpoints::decode(bytes, self.cells.marked().unwrap_or_default())?;
         self.with_viewpoints(viewpoints)
+    }
+
+    /// Returns the choice of view cells among the boxes of the grid's cells. `None` if every cell of the grid
+    /// is a view cell.
+    pub fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        self.by_cost.as_deref()
     }
 
     /// Returns the number of cells along x, y and z.
@@ -295,6 +323,7 @@ impl BoxCells {
 pub struct CubeGrid {
     cells: Cells,
     viewpoints: Viewpoints,
+    by_cost: Option<Arc<CellsByCost>>,
 }
 
 impl CubeGrid {
@@ -306,6 +335,7 @@ impl CubeGrid {
         Ok(Self {
             cells: Cells::new(view_box, Division::Grid(cells))?,
             viewpoints: Viewpoints::Everywhere,
+            by_cost: None,
         })
     }
 
@@ -329,6 +359,20 @@ impl CubeGrid {
             return Err(PartMaskError::LONG.into());
         }
         self.with_mask(Arc::new(mask))
+    }
+
+    /// Chooses the view cells of the result; see [`GridCells::with_cells_by_cost`].
+    ///
+    /// # Errors
+    /// [`SpecError`] if the grid is too fine, or if the choice has weights for other cells.
+    pub fn with_cells_by_cost(self, by_cost: Option<CellsByCost>) -> Result<Self, SpecError> {
+        let by_cost = checked(by_cost, self.sides())?;
+        Ok(Self { by_cost, ..self })
+    }
+
+    /// Returns the choice of view cells; see [`GridCells::cells_by_cost`].
+    pub fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        self.by_cost.as_deref()
     }
 
     /// Returns the number of cells along x, y and z.
@@ -409,6 +453,8 @@ pub enum CubeCells {
 pub(super) trait AnyCells {
     fn cells(&self) -> &Cells;
     fn viewpoints(&self) -> &Viewpoints;
+    /// Returns the choice of view cells among the boxes of a grid's cells, if the job has one.
+    fn cells_by_cost(&self) -> Option<&CellsByCost>;
     /// Returns the division of the cells into tiles.
     fn layout(&self) -> Layout;
 }
@@ -425,6 +471,13 @@ impl AnyCells for KnownCells {
         match self {
             Self::Grid(grid) => &grid.viewpoints,
             Self::Boxes(boxes) => &boxes.viewpoints,
+        }
+    }
+
+    fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        match self {
+            Self::Grid(grid) => grid.cells_by_cost(),
+            Self::Boxes(_) => None,
         }
     }
 
@@ -452,6 +505,13 @@ impl AnyCells for CubeCells {
         }
     }
 
+    fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        match self {
+            Self::Grid(grid) => grid.cells_by_cost(),
+            Self::Adaptive(_) => None,
+        }
+    }
+
     fn layout(&self) -> Layout {
         Layout::Samples
     }
@@ -464,6 +524,10 @@ impl AnyCells for Adaptive<MOST_LINE_DEPTH> {
 
     fn viewpoints(&self) -> &Viewpoints {
         &EVERYWHERE
+    }
+
+    fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        None
     }
 
     fn layout(&self) -> Layout {

@@ -1,5 +1,6 @@
 //! The errors of a specification that is rejected.
 
+use sightline_viewcells::cheapest::FineGridError;
 use sightline_viewcells::{DivisionError, PartMaskError, RegionError, TreeError};
 
 /// A number outside the range of its option.
@@ -55,6 +56,9 @@ pub enum SpecError {
     /// The view box cannot be divided.
     #[error(transparent)]
     Division(#[from] DivisionError),
+    /// The grid is too fine for a search of cells by cost.
+    #[error(transparent)]
+    Fine(#[from] FineGridError),
     /// The boxes do not form a tree.
     #[error(transparent)]
     Tree(#[from] TreeError),
@@ -90,6 +94,7 @@ impl SpecError {
             Self::Name(e) => Some(e.parameter),
             Self::Viewpoints(_) | Self::Region(_) => Some("viewpoints"),
             Self::Tree(_) => Some("cells"),
+            Self::Fine(_) => Some("fine"),
             Self::Division(e) => Some(match e {
                 DivisionError::Box { .. } => "view-box",
                 DivisionError::Cells { .. }

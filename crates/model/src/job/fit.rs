@@ -2,8 +2,13 @@
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
+use sightline_viewcells::Division;
 
+use super::visibility::count;
 use super::{JobSpec, SpecError, Task};
+
+/// The maximum size of the sets of a fine grid as rows of bits, in bytes.
+pub const MOST_FINE_BYTES: u64 = 2 << 30;
 
 /// The facts about a scene on which a job depends.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,8 +41,9 @@ impl JobSpec {
     /// Checks that a job can be computed for a scene.
     ///
     /// # Errors
-    /// [`SpecError`] if a method other than aggressive is used with alpha masks or back-face culling, or if
-    /// the region of viewpoints belongs to another scene.
+    /// [`SpecError`] if a method other than aggressive is used with alpha masks or back-face culling, if the
+    /// region of viewpoints belongs to another scene, or if the sets of a fine grid would need too much
+    /// memory.
     pub fn fits(&self, scene: &SceneFacts) -> Result<(), SpecError> {
         let Task::Visibility(task) = &self.task else {
             return Ok(());
@@ -54,6 +60,14 @@ impl JobSpec {
                 "method",
                 "exact queries use both sides of every triangle; give aggressive, or omit \
                  --cull-back-faces",
+            ));
+        }
+        if let (Some(_), Division::Grid(sides)) = (task.cells_by_cost(), task.division())
+            && u64::from(scene.triangles.div_ceil(64)) * 8 * count(*sides) > MOST_FINE_BYTES
+        {
+            return Err(SpecError::new(
+                "fine",
+                "the sets of so many cells of this scene need more than 2 GiB of memory; give fewer fine cells",
             ));
         }
         let greatest = task

@@ -5,6 +5,7 @@ use sightline_viewcells::Division;
 
 use super::SpecError;
 use super::names::CellToCell;
+use super::sampler::{LineAim, Sampler, Stop};
 use super::visibility::{Visibility, count};
 use crate::output::pairs::MOST_PAIR_CELLS;
 
@@ -14,7 +15,36 @@ use crate::output::pairs::MOST_PAIR_CELLS;
 /// [`SpecError`] for the first combination that is not implemented.
 pub(super) fn check(task: &Visibility) -> Result<(), SpecError> {
     certificates(task)?;
+    cells_by_cost(task)?;
     pairs(task)
+}
+
+/// Checks that cells by cost are combined only with values that a union of sets has.
+fn cells_by_cost(task: &Visibility) -> Result<(), SpecError> {
+    if task.cells_by_cost().is_none() {
+        return Ok(());
+    }
+    let is_bounded = task.sampling().is_some_and(|sampling| {
+        matches!(
+            &sampling.sampler,
+            Sampler::Lines {
+                aim: LineAim::Known {
+                    stop: Stop::Bound(_),
+                    ..
+                },
+                ..
+            }
+        )
+    });
+    let options = [
+        ("certificates", task.has_certificates()),
+        ("contributions", task.has_contributions()),
+        ("max-error", is_bounded),
+    ];
+    match options.into_iter().find(|(_, is_given)| *is_given) {
+        Some((option, _)) => Err(SpecError::combination(option, "cell-budget or byte-budget")),
+        None => Ok(()),
+    }
 }
 
 /// Checks that certificates are combined only with whole closed cells and unlimited sight.

@@ -16,7 +16,7 @@ use super::numbers::{
 };
 use super::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};
 use super::visibility::{Method, Visibility};
-use super::{Ambient, FieldValue, JobSpec, SpecError, Task, limits};
+use super::{Ambient, CellsByCost, FieldValue, JobSpec, SpecError, Task, limits};
 
 /// The default number of cells along each axis.
 pub const USUAL_GRID: [u32; 3] = [8; 3];
@@ -357,8 +357,10 @@ fn known_grid(
 ) -> Result<KnownCells, SpecError> {
     let grid = GridCells::new(scene.view_box(&m.view_box)?, sides([m.x, m.y, m.z]))?;
     let grid = grid.with_tile_cells(optional(m.tile_cells)?.unwrap_or(usual))?;
+    let grid = grid.with_encoded_viewpoints(&m.viewpoints)?;
+    let by_cost = m.cells_by_cost.as_ref().map(CellsByCost::from_message);
     Ok(KnownCells::Grid(
-        grid.with_encoded_viewpoints(&m.viewpoints)?,
+        grid.with_cells_by_cost(by_cost.transpose()?)?,
     ))
 }
 
@@ -386,6 +388,7 @@ impl GridCells {
             view_box: corners(self.cells()),
             tile_cells: written(self.tile_cells()),
             viewpoints: self.viewpoints().encode(),
+            cells_by_cost: self.cells_by_cost().map(CellsByCost::to_message),
         }
     }
 }
@@ -405,7 +408,9 @@ impl BoxCells {
 impl CubeGrid {
     fn from_message(m: &v1::CubeGrid, scene: &SceneFacts) -> Result<Self, SpecError> {
         let grid = Self::new(scene.view_box(&m.view_box)?, sides([m.x, m.y, m.z]))?;
-        grid.with_encoded_mask(&m.viewpoints)
+        let by_cost = m.cells_by_cost.as_ref().map(CellsByCost::from_message);
+        let grid = grid.with_encoded_mask(&m.viewpoints)?;
+        grid.with_cells_by_cost(by_cost.transpose()?)
     }
 
     fn to_message(&self) -> v1::CubeGrid {
@@ -416,6 +421,7 @@ impl CubeGrid {
             z,
             view_box: corners(self.cells()),
             viewpoints: self.viewpoints().encode(),
+            cells_by_cost: self.cells_by_cost().map(CellsByCost::to_message),
         }
     }
 }
@@ -461,35 +467,51 @@ pub fn time_budget_ms(m: &v1::JobSpec) -> Option<u64> {
     }
 }
 
-/// Removes the parts of a message that can be large: the viewpoints, and the axes and planes of boxes.
-/// Returns true if the message contained such a part.
+/// Removes the parts of a message that can be large: the viewpoints, the weights of cells by cost, and the
+/// axes and planes of boxes. Returns true if the message contained such a part.
 pub fn remove_large_parts(m: &mut v1::JobSpec) -> bool {
-    let Some((viewpoints, boxes)) = large_parts(m) else {
+    let Some(parts) = large_parts(m) else {
         return false;
     };
-    let planes = boxes.map(|(axes, planes)| (std::mem::take(axes), std::mem::take(planes)));
-    !std::mem::take(viewpoints).is_empty() || planes.is_some()
+    let viewpoints = std::mem::take(parts.viewpoints);
+    let weights = parts
+        .by_cost
+        .map(|by_cost| std::mem::take(&mut by_cost.weights));
+    let boxes = parts
+        .boxes
+        .map(|(axes, planes)| (std::mem::take(axes), std::mem::take(planes)));
+    !viewpoints.is_empty() || weights.is_some_and(|weights| !weights.is_empty()) || boxes.is_some()
 }
 
 /// Returns true if the cells of a message are boxes.
 pub fn has_boxes(m: &v1::JobSpec) -> bool {
     let mut m = m.clone();
-    large_parts(&mut m).is_some_and(|(_, boxes)| boxes.is_some())
+    large_parts(&mut m).is_some_and(|parts| parts.boxes.is_some())
 }
 
-/// The viewpoints of a message and, for boxes, the axes and the planes.
-type LargeParts<'a> = (
-    &'a mut Vec<u8>,
-    Option<(&'a mut Vec<u32>, &'a mut Vec<f32>)>,
-);
+/// The parts of a message that can be large.
+struct LargeParts<'a> {
+    viewpoints: &'a mut Vec<u8>,
+    by_cost: Option<&'a mut v1::CellsByCost>,
+    /// The axes and the planes of boxes.
+    boxes: Option<(&'a mut Vec<u32>, &'a mut Vec<f32>)>,
+}
 
 fn large_parts(m: &mut v1::JobSpec) -> Option<LargeParts<'_>> {
     use v1::{cubes, guided, lines, portals, sampling, visibility};
     fn grid(m: &mut v1::GridCells) -> Option<LargeParts<'_>> {
-        Some((&mut m.viewpoints, None))
+        Some(LargeParts {
+            viewpoints: &mut m.viewpoints,
+            by_cost: m.cells_by_cost.as_mut(),
+            boxes: None,
+        })
     }
     fn boxes(m: &mut v1::BoxCells) -> Option<LargeParts<'_>> {
-        Some((&mut m.viewpoints, Some((&mut m.axes, &mut m.planes))))
+        Some(LargeParts {
+            viewpoints: &mut m.viewpoints,
+            by_cost: None,
+            boxes: Some((&mut m.axes, &mut m.planes)),
+        })
     }
     let Some(v1::job_spec::Task::Visibility(task)) = &mut m.task else {
         return None;
@@ -515,7 +537,11 @@ fn large_parts(m: &mut v1::JobSpec) -> Option<LargeParts<'_>> {
             guided::Cells::Boxes(m) => boxes(m),
         },
         sampling::Sampler::Cubes(m) => match m.cells.as_mut()? {
-            cubes::Cells::Grid(m) => Some((&mut m.viewpoints, None)),
+            cubes::Cells::Grid(m) => Some(LargeParts {
+                viewpoints: &mut m.viewpoints,
+                by_cost: m.cells_by_cost.as_mut(),
+                boxes: None,
+            }),
             cubes::Cells::Adaptive(_) => None,
         },
     }

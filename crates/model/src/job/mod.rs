@@ -5,6 +5,7 @@
 //! expressed and are not implemented.
 
 mod ambient;
+mod by_cost;
 pub mod cells;
 mod error;
 mod field;
@@ -20,9 +21,10 @@ mod spec;
 mod visibility;
 
 pub use ambient::Ambient;
+pub use by_cost::{CellBudget, CellsByCost};
 pub use error::{OutOfRange, SpecError, UnknownValue};
 pub use field::FieldValue;
-pub use fit::SceneFacts;
+pub use fit::{MOST_FINE_BYTES, SceneFacts};
 pub use planned::PlannedJob;
 pub use spec::{ALGORITHM_VERSION, JobSpec, Task};
 pub use visibility::{Method, Visibility};

@@ -242,6 +242,19 @@ named_values! {
 }
 
 named_values! {
+    /// The cost of a view cell for a viewpoint in it.
+    CellCost("cost") {
+        /// The number of triangles of the cell's set.
+        Triangles = "triangles",
+        /// The number of objects with a triangle in the cell's set.
+        Objects = "objects",
+        /// The size of the coded set, in bytes.
+        Bytes = "bytes",
+    }
+    default Triangles
+}
+
+named_values! {
     /// The limits of a single exact query.
     Effort("effort") {
         /// Limits that suffice for nearly every triangle.
@@ -282,6 +295,7 @@ on_the_wire!(Granularity as Granularity: Triangles, Clusters, Objects);
 on_the_wire!(CellToCell as CellToCell: Auto, On, Off);
 on_the_wire!(Crediting as Crediting: All, Own);
 on_the_wire!(Completion as Completion: Off, Auto);
+on_the_wire!(CellCost as CellCost: Triangles, Objects, Bytes);
 on_the_wire!(Effort as Effort: Full, Bounded);
 on_the_wire!(Up as Up: Y, Z);
 
@@ -320,6 +334,7 @@ mod tests {
         every_number_leads_back::<CellToCell>();
         every_number_leads_back::<Crediting>();
         every_number_leads_back::<Completion>();
+        every_number_leads_back::<CellCost>();
         every_number_leads_back::<Effort>();
         every_number_leads_back::<Up>();
     }

@@ -81,6 +81,10 @@ numbers! {
     /// The maximum number of grid cells of a tile.
     TileCells(u32) = "block-cells", 1, sightline_viewcells::MOST_BLOCK_CELLS,
         default sightline_viewcells::USUAL_BLOCK_CELLS;
+    /// The maximum number of view cells with viewpoints that a job by cost chooses.
+    CellCount(u64) = "cell-budget", 1, sightline_viewcells::division::MAX_CELLS;
+    /// The maximum sum of the sizes of the sets of the cells that a job by cost chooses, in bytes.
+    ByteCount(u64) = "byte-budget", 1, 1 << 50;
     /// The maximum number of visible triangles of a cell of an adaptive tree. A cell with more triangles is
     /// halved.
     TriangleBudget(u32) = "triangle-budget", 1, u32::MAX;

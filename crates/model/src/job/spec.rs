@@ -12,7 +12,7 @@ use super::{Ambient, Method, SpecError, Visibility, limits};
 /// The version changes if the same specification would result in other bytes of a result or of a tile's
 /// output. A stored result is therefore never mistaken for a result of another version.
 /// `crates/bake/src/choices.rs` lists the choices that the version covers.
-pub const ALGORITHM_VERSION: u32 = 30;
+pub const ALGORITHM_VERSION: u32 = 31;
 
 /// A checked specification.
 #[derive(Clone, Debug, PartialEq)]

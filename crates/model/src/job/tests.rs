@@ -48,6 +48,22 @@ fn region() -> Region {
     .unwrap()
 }
 
+fn by_cost(budget: CellBudget, cost: CellCost) -> GridCells {
+    let choice = CellsByCost::new(budget, cost);
+    grid().with_cells_by_cost(Some(choice)).unwrap()
+}
+
+fn few_cells() -> CellBudget {
+    CellBudget::Cells(CellCount::new(5).unwrap())
+}
+
+fn weighted() -> GridCells {
+    let choice = CellsByCost::new(few_cells(), CellCost::Triangles);
+    let weights = (0..24).collect();
+    let choice = choice.with_weights(weights).unwrap();
+    grid().with_cells_by_cost(Some(choice)).unwrap()
+}
+
 fn lines(error: f64, stop: Stop, time: Option<u64>) -> Sampler {
     let aim = LineAim::Known {
         cells: known(),
@@ -125,7 +141,12 @@ fn tasks() -> Vec<Visibility> {
     let in_boxes = boxes()
         .with_viewpoints(Viewpoints::new(mask([2, 1, 1]), None))
         .unwrap();
+    let few_bytes = CellBudget::Bytes(ByteCount::new(5).unwrap());
     let cube_grid = CubeGrid::new(unit(), [4, 3, 2]).unwrap();
+    let chosen_cubes = cube_grid
+        .clone()
+        .with_cells_by_cost(Some(CellsByCost::new(few_bytes, CellCost::Bytes)))
+        .unwrap();
     let marked = cube_grid.with_mask(Arc::new(mask([4, 3, 2]))).unwrap();
     let few = grid().with_tile_cells(TileCells::new(65).unwrap()).unwrap();
     let rays = RayCount::new(5).unwrap();
@@ -134,6 +155,11 @@ fn tasks() -> Vec<Visibility> {
         with_cells(KnownCells::Grid(GridCells::new(unit(), [4, 3, 3]).unwrap())),
         with_cells(KnownCells::Grid(GridCells::new(wide, [4, 3, 2]).unwrap())),
         with_cells(KnownCells::Grid(few)),
+        with_cells(KnownCells::Grid(by_cost(few_cells(), CellCost::Triangles))),
+        with_cells(KnownCells::Grid(by_cost(few_bytes, CellCost::Triangles))),
+        with_cells(KnownCells::Grid(by_cost(few_bytes, CellCost::Objects))),
+        with_cells(KnownCells::Grid(weighted())),
+        with_sampler(Sampler::cubes(CubeCells::Grid(chosen_cubes))),
         with_cells(KnownCells::Boxes(boxes())),
         with_cells(KnownCells::Boxes(in_boxes)),
         at(Viewpoints::new(mask([4, 3, 2]), None)),
@@ -260,6 +286,12 @@ fn large_parts_are_removed_from_messages() {
     for (cells, is_large, is_boxes) in [
         (known(), false, false),
         (KnownCells::Grid(marked), true, false),
+        (
+            KnownCells::Grid(by_cost(few_cells(), CellCost::Bytes)),
+            false,
+            false,
+        ),
+        (KnownCells::Grid(weighted()), true, false),
         (KnownCells::Boxes(boxes()), true, true),
     ] {
         for method in [
@@ -299,6 +331,26 @@ fn error_names_options_of_unimplemented_combination() {
     ] {
         assert_eq!(refused(task).option(), Some("certificates"));
     }
+    let chosen = || Sampling::new(Sampler::lines(KnownCells::Grid(weighted())));
+    let proofs = Method::Exact {
+        sampling: chosen(),
+        effort: Effort::Full,
+        certificates: true,
+    };
+    assert_eq!(refused(proofs.into()).option(), Some("certificates"));
+    let mut shares = chosen();
+    shares.contributions = true;
+    let shares = Method::aggressive(shares);
+    assert_eq!(refused(shares.into()).option(), Some("contributions"));
+    let bounded = with_sampler(Sampler::Lines {
+        aim: LineAim::Known {
+            cells: KnownCells::Grid(weighted()),
+            error: TargetError::default(),
+            stop: Stop::Bound(MaxError::new(0.01).unwrap()),
+        },
+        time: None,
+    });
+    assert_eq!(refused(bounded).option(), Some("max-error"));
     let many = KnownCells::Grid(GridCells::new(unit(), [33, 32, 32]).unwrap());
     for mut task in [
         Visibility::from(Method::portals(known())),
@@ -381,6 +433,39 @@ fn error_names_wrong_value() {
     assert_eq!(grid(&|m| m.tile_cells = Some(4097)), Some("block-cells"));
     assert_eq!(grid(&|m| m.x = Some(0)), Some("cells"));
     assert_eq!(grid(&|m| m.viewpoints = vec![1]), Some("viewpoints"));
+    let choice = |budget, weights: &[u8]| {
+        let weights = weights.to_vec();
+        Some(v1::CellsByCost {
+            budget,
+            weights,
+            ..v1::CellsByCost::default()
+        })
+    };
+    let one = Some(v1::cells_by_cost::Budget::CellBudget(1));
+    for (weights, option) in [
+        (&[][..], None),
+        (&[1, 0, 0][..], Some("viewpoints")),
+        (&[1, 0, 0, 0][..], Some("viewpoints")),
+        (&[0; 512 * 4][..], Some("viewpoints")),
+        // 512 cells with the weight 0x00ffff01 have a sum above 32 bits, and with 1 below.
+        (&[1, 255, 255, 0].repeat(512)[..], Some("viewpoints")),
+        (&[1, 0, 0, 0].repeat(512)[..], None),
+    ] {
+        let error = error(&|m| {
+            if let Some(v1::lines::Cells::Grid(grid)) = &mut m.cells {
+                grid.cells_by_cost = choice(one, weights);
+            }
+        });
+        assert_eq!(error.and_then(|e| e.option()), option, "{weights:?}");
+    }
+    assert_eq!(
+        grid(&|m| m.cells_by_cost = choice(None, &[])),
+        Some("cell-budget")
+    );
+    assert_eq!(
+        grid(&|m| (m.x, m.cells_by_cost) = (Some(33), choice(one, &[]))),
+        Some("fine")
+    );
     assert_eq!(
         grid(&|m| (m.x, m.y, m.z, m.tile_cells) = (Some(160), Some(160), Some(160), Some(1))),
         Some("block-cells")
@@ -415,6 +500,14 @@ fn job_rejects_scene_that_does_not_fit() {
     let within = grid()
         .with_viewpoints(Viewpoints::new(mask([4, 3, 2]), Some(region())))
         .unwrap();
+    let chosen = job(with_cells(KnownCells::Grid(weighted())));
+    let many = SceneFacts {
+        triangles: u32::MAX,
+        ..facts
+    };
+    assert_eq!(chosen.fits(&facts), Ok(()));
+    assert_eq!(lines.fits(&many), Ok(()));
+    assert_eq!(chosen.fits(&many).unwrap_err().option(), Some("fine"));
     let foreign = job(with_cells(KnownCells::Grid(within)));
     assert_eq!(
         foreign.fits(&facts).unwrap_err().option(),

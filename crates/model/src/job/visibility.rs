@@ -3,6 +3,7 @@
 use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, Lattice, Plan, USUAL_BLOCK_CELLS};
 
+use super::CellsByCost;
 use super::cells::{AnyCells, Cells, KnownCells, MOST_LINE_DEPTH, Viewpoints, marks};
 use super::names::{CellToCell, Completion, Effort, Granularity, MethodName, Up};
 use super::numbers::{Length, TimeBudget};
@@ -147,6 +148,12 @@ impl Visibility {
     /// Returns the parts of the view box that contain viewpoints.
     pub fn viewpoints(&self) -> &Viewpoints {
         self.method.any_cells().viewpoints()
+    }
+
+    /// Returns the choice of view cells among the boxes of the grid's cells. `None` if the cells of the
+    /// division are the view cells.
+    pub fn cells_by_cost(&self) -> Option<&CellsByCost> {
+        self.method.any_cells().cells_by_cost()
     }
 
     /// Returns the sampling, or `None` for the method portals.
