@@ -18,8 +18,8 @@ fn corner(value: &Value) -> [f64; 3] {
     [0, 1, 2].map(|axis| value[axis].as_f64().unwrap())
 }
 
-/// Returns the union of the sets of the reached cells inside a box of an answer, and the sum of the weights of
-/// these cells.
+/// Returns the union of the sets of the reached cells inside a box of an answer, and the sum of the weights
+/// of these cells.
 fn union(dump: &Dump, weights: &[u64], of_answer: &Value) -> (BTreeSet<u64>, u64) {
     let (min, max) = (corner(&of_answer["min"]), corner(&of_answer["max"]));
     let (mut union, mut weight) = (BTreeSet::new(), 0);

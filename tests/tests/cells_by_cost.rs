@@ -11,7 +11,7 @@ use sightline_pvs::Pvs;
 use sightline_tests::{Dump, Sandbox, assert_same};
 
 const ROOMS: &str = "generate rooms --triangles 2000 -o rooms.glb";
-/// The points of few visitors and of a guard, who stays in one place.
+/// The places of two visitors and of a guard, whose place has a large weight.
 const EYES: &str = "2 1.5 2 1\n4 1.5 2 1\n3 1.5 3 20\n";
 
 /// Returns the weights of the viewpoints in the cells of a result.

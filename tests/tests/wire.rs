@@ -613,8 +613,8 @@ async fn second_result_of_tile_is_rejected() {
         log.contains("TWO RESULTS").then_some(())
     });
 
-    // The worker does not return, so its tiles are free immediately, and an honest worker finishes the job. The
-    // tile of the killed worker may be its own for a while.
+    // The worker does not return, so its tiles are free immediately, and an honest worker finishes the job.
+    // The tile of the killed worker may be its own for a while.
     let running = |tiles: u64| {
         coordinator.until(job, "the other leases to end", |job| {
             job["tiles_running"].as_u64() == Some(tiles)

@@ -14,11 +14,12 @@ use crate::args::kinds::KindArgs;
 /// Find view cells for a budget in the grid of a result, without another bake.
 ///
 /// A cell's set is the union of the sets of the grid cells in it. The expected set is the mean over all
-/// viewpoints, which are equally likely in each reached part of a cell (a cell has 4x4x4 parts). Of the kd-trees over the
-/// grid's planes on the lower convex hull of size and expected set, the command finds the tree with the least
-/// expected set within the budget. It prints the number of cells, the bytes of their sets and the expected
-/// set, the same numbers of the grid, and other budgets of the hull. Sets are coded separately here. A result
-/// file stores differences from sets of inner nodes of the tree, and also offsets and undecided sets.
+/// viewpoints, which are equally likely in each reached part of a cell (a cell has 4x4x4 parts). Of the
+/// kd-trees over the grid's planes on the lower convex hull of size and expected set, the command finds the
+/// tree with the least expected set within the budget. It prints the number of cells, the bytes of their sets
+/// and the expected set, the same numbers of the grid, and other budgets of the hull. Sets are coded
+/// separately here. A result file stores differences from sets of inner nodes of the tree, and also offsets
+/// and undecided sets.
 #[derive(Args, Debug)]
 #[command(group(clap::ArgGroup::new("budget").required(true).args(["cell_budget", "byte_budget"])))]
 pub struct CellsArgs {

@@ -55,7 +55,8 @@ fn in_words(found: &CellDivisions) -> String {
     let mut text = line(format!("grid of {x}x{y}x{z} cells"), &found.grid);
     let _ = write!(
         text,
-        "\n{}: {:.2} of the grid's bytes, {:.2} of its expected set\nother budgets: cells, bytes, expected set",
+        "\n{}: {:.2} of the grid's bytes, {:.2} of its expected set\n\
+         other budgets: cells, bytes, expected set",
         line("chosen cells".to_owned(), &found.chosen),
         ratio(found.chosen.bytes as f64, found.grid.bytes as f64),
         ratio(found.chosen.expected, found.grid.expected)

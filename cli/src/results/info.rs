@@ -40,8 +40,8 @@ pub struct Summary {
     set_bytes: u64,
     bytes_per_cell: f64,
     mean_visible: f64,
-    /// The expected set: the mean number of triangles to draw over all viewpoints, weighted by the volume that
-    /// viewpoints reach or by the weights of a file of viewpoints.
+    /// The expected set: the mean number of triangles to draw over all viewpoints, weighted by the volume
+    /// that viewpoints reach or by the weights of a file of viewpoints.
     expected: f64,
     /// The share of the view box's volume that viewpoints reach.
     reached: f64,
@@ -258,8 +258,8 @@ impl Summary {
             }
         };
         Some(format!(
-            "cells by cost: {} with a set, expected set {:.1} {unit}; {} fine cells have {:.1} {unit} and {:.2} \
-             times the bytes{within}",
+            "cells by cost: {} with a set, expected set {:.1} {unit}; {} fine cells have {:.1} {unit} and \
+             {:.2} times the bytes{within}",
             number("chosen", "cells")?,
             number("chosen", "expected")?,
             number("grid", "cells")?,

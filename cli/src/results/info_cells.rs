@@ -58,8 +58,8 @@ pub fn volume(pvs: &Pvs, cell: u32) -> f64 {
     })
 }
 
-/// Returns the expected set: the mean number of triangles to draw over all viewpoints. The weights of the cells
-/// are a column of the result. Without this column, the weight of a cell with viewpoints is its volume.
+/// Returns the expected set: the mean number of triangles to draw over all viewpoints. The weights of the
+/// cells are a column of the result. Without this column, the weight of a cell with viewpoints is its volume.
 ///
 /// # Errors
 /// An error of the kind [`sightline::ErrorKind::Input`] if the result cannot be read.

@@ -31,12 +31,12 @@ pub struct ChosenCells {
     pub least: Option<u64>,
 }
 
-/// Writes the result of the cells by cost of a fine result. `origin` is the digest of the fine result as text,
-/// if an earlier bake wrote it.
+/// Writes the result of the cells by cost of a fine result. `origin` is the digest of the fine result as
+/// text, if an earlier bake wrote it.
 ///
 /// # Errors
-/// [`FineSetsError`] if the cells of the fine result are not a grid, are too many or have no viewpoints, or if
-/// a result cannot be read or written.
+/// [`FineSetsError`] if the cells of the fine result are not a grid, are too many or have no viewpoints, or
+/// if a result cannot be read or written.
 pub fn write_cells_by_cost(
     fine: &Pvs,
     choice: &CellsByCost,

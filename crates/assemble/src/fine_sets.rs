@@ -1,7 +1,8 @@
 //! The sets of the cells of a fine grid, and the costs of the boxes of these cells.
 //!
-//! The set of a box is the union of the sets of its cells. The weight of a box is the sum of the weights of its
-//! cells, and its cost for the search ([`sightline_viewcells::cheapest`]) is weight times cost of the union.
+//! The set of a box is the union of the sets of its cells. The weight of a box is the sum of the weights of
+//! its cells, and its cost for the search ([`sightline_viewcells::cheapest`]) is weight times cost of the
+//! union.
 
 use rayon::prelude::*;
 use sightline_model::statistics::VIEWPOINT_WEIGHT;

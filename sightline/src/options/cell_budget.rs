@@ -7,8 +7,8 @@ use sightline_model::{CellBudget, CellCost, CellsByCost};
 use super::byte_size::ByteSize;
 use crate::error::Error;
 
-/// The options of cells by cost. The view cells are the leaves of a kd-tree over the planes of a fine grid. The
-/// set of a leaf is the union of the sets of its fine cells.
+/// The options of cells by cost. The view cells are the leaves of a kd-tree over the planes of a fine grid.
+/// The set of a leaf is the union of the sets of its fine cells.
 ///
 /// ```
 /// use sightline::{CellBudgetOptions, JobOptions};
@@ -33,8 +33,9 @@ pub struct CellBudgetOptions {
     #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
     #[cfg_attr(feature = "clap", arg(value_parser = super::byte_size::parse_byte_size))]
     pub byte_budget: Option<ByteSize>,
-    /// The fine grid: the numbers of cells along x, y and z, at most 32 each. Default: 8 fine cells for each
-    /// cell of --cell-budget, at least 512 and at most 1728; for --byte-budget 1728.
+    /// The fine grid: the numbers of cells along x, y and z, at most 32 each. Default: about 4096 cells if
+    /// options restrict the viewpoints. Otherwise 8 for each cell of --cell-budget, at least 512 and at most
+    /// 1728, and 1728 for --byte-budget.
     #[cfg_attr(feature = "clap", arg(long, value_name = "NXxNYxNZ", value_parser = super::text::parse_grid))]
     pub fine: Option<[u32; 3]>,
     /// The cost of a cell for a viewpoint in it. Default: triangles.

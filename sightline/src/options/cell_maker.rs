@@ -27,15 +27,19 @@ fn cells_of_size(view_box: Aabb, size: f64) -> [u32; 3] {
         .map(|extent| ((extent / size).ceil() as u32).max(1))
 }
 
-/// The numbers of fine cells for each cell of a budget, and the least and the largest numbers of fine cells.
+/// The number of fine cells for each cell of a budget, and the least and the largest numbers of fine cells.
 const FINE_PER_CELL: u64 = 8;
 const LEAST_FINE: u64 = 512;
 const MOST_FINE: u64 = 1728;
+/// The number of fine cells if viewpoints reach only a part of the view box. Cells without viewpoints are not
+/// sampled.
+const FINE_IN_PART: u64 = 4096;
 
-/// Returns the default fine grid: eight fine cells for each cell of the budget, at least 512 and at most 1728.
-/// The cells are approximately cubes.
-fn usual_fine_cells(view_box: Aabb, budget: CellBudget) -> [u32; 3] {
+/// Returns the default fine grid, whose cells are approximately cubes. If viewpoints are everywhere, the grid
+/// has eight cells for each cell of the budget, at least 512 and at most 1728.
+fn usual_fine_cells(view_box: Aabb, budget: CellBudget, is_restricted: bool) -> [u32; 3] {
     let wanted = match budget {
+        _ if is_restricted => FINE_IN_PART,
         CellBudget::Cells(cells) => (cells.get() * FINE_PER_CELL).clamp(LEAST_FINE, MOST_FINE),
         CellBudget::Bytes(_) => MOST_FINE,
     };
@@ -162,7 +166,8 @@ impl CellMaker<'_> {
     /// Returns the number of cells of the grid along each axis.
     fn sides(&self) -> Result<[u32; 3], Error> {
         if let Some(choice) = self.options.by_cost.choice()? {
-            let usual = || usual_fine_cells(self.view_box, choice.budget());
+            let is_restricted = self.options.viewpoints.restrict();
+            let usual = || usual_fine_cells(self.view_box, choice.budget(), is_restricted);
             return Ok(self.options.by_cost.fine.unwrap_or_else(usual));
         }
         Ok(match (self.options.cell_size, self.options.cells) {

@@ -135,8 +135,8 @@ impl JobOptions {
         if self.by_cost.is_given() && viewpoints.viewpoints.is_some() && viewpoints.reach.is_none()
         {
             return Err(Error::usage(
-                "cells by cost with --viewpoints need --reach R: every place within R of a viewpoint then has \
-                 a set",
+                "cells by cost with --viewpoints need --reach R: every place within R of a viewpoint then \
+                 has a set",
             )
             .about("reach"));
         }

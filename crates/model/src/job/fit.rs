@@ -67,7 +67,8 @@ impl JobSpec {
         {
             return Err(SpecError::new(
                 "fine",
-                "the sets of so many cells of this scene need more than 2 GiB of memory; give fewer fine cells",
+                "the sets of so many cells of this scene need more than 2 GiB of memory; give fewer \
+                 fine cells",
             ));
         }
         let greatest = task

@@ -210,8 +210,8 @@ columns! {
     }
 }
 
-/// The name of the column with the weight of each cell's viewpoints. Without this column, the weight of a cell
-/// with viewpoints is proportional to its volume.
+/// The name of the column with the weight of each cell's viewpoints. Without this column, the weight of a
+/// cell with viewpoints is proportional to its volume.
 pub const VIEWPOINT_WEIGHT: &str = "viewpoint_weight";
 
 /// The number of a cell's columns: visibility cubes, [`CellStats`], [`DecisionStats`].
