@@ -39,7 +39,7 @@ def test_every_option_of_the_command_has_a_type(program):
     flags = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", program("bake --help"), re.M))
     assert {"cells", "max-error", "see-through", "no-solids"} <= flags
     # Parameters of `bake` beside its options, and what belongs to a command.
-    others = {"output", "data-dir", "workers", "view", "json", "help", "version"}
+    others = {"output", "from", "data-dir", "workers", "view", "json", "help", "version"}
     known = {name.replace("_", "-") for name in _options.JobOptions.__annotations__}
     assert known == flags - others
     assert {name for name in _options.JobOptions.__annotations__} <= set(_options._CONVERT)

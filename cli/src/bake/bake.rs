@@ -9,6 +9,7 @@ use sightline::{Baked, Error, Local, SceneSource, TracerSearch, bake_after, read
 
 use crate::args::cli::BakeArgs;
 use crate::args::results::ViewArgs;
+use crate::bake::resources::{cpu_seconds, peak_memory};
 use crate::bake::unite;
 use crate::results::info::Summary;
 use crate::results::view;
@@ -129,25 +130,4 @@ fn report(args: &BakeArgs, outcome: &Baked, took: Duration, json: bool) -> Resul
         lines.push(format!("wrote {}", args.output.display()));
         crate::terminal::stdout::print(&lines.join("\n"))
     }
-}
-
-/// Returns the peak memory of this process in bytes, from Linux's /proc, or `None` on other systems.
-pub fn peak_memory() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kilobytes * 1024)
-}
-
-/// Returns the CPU time of all threads of this process so far, user and system, in seconds. Returns `None` if
-/// the system does not report it.
-#[cfg(unix)]
-fn cpu_seconds() -> Option<f64> {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
-}
-
-#[cfg(not(unix))]
-fn cpu_seconds() -> Option<f64> {
-    None
 }

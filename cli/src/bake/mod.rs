@@ -11,5 +11,6 @@ pub mod assemble;
 )]
 pub mod bake;
 pub mod plan;
+pub mod resources;
 pub mod tile;
 pub mod unite;

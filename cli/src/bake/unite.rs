@@ -10,7 +10,7 @@ use sightline::{
 };
 
 use crate::args::cli::BakeArgs;
-use crate::bake::bake::peak_memory;
+use crate::bake::resources::peak_memory;
 use crate::results::info::Summary;
 use crate::terminal::progress::Terminal;
 

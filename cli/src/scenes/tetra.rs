@@ -18,7 +18,7 @@ use sightline_tetra::surfaces::{FLAT, Surfaces};
 use sightline_tetra::{BuildError, BuildObserver, BuildStage, TetsError, build};
 
 use crate::args::tetra::TetraArgs;
-use crate::bake::bake::peak_memory;
+use crate::bake::resources::peak_memory;
 use crate::results::look_tets::open;
 use crate::scenes::read::scene;
 use crate::scenes::tetra_vtk::export;

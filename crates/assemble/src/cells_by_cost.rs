@@ -89,7 +89,7 @@ pub fn write_cells_by_cost(
         objects: fine.objects().to_vec(),
         info_json: Value::Object(info).to_string(),
     })?;
-    builder.copy_scene_parts(fine)?;
+    builder.set_scene_parts(fine.scene_parts())?;
     for leaves in leaves.chunks(BATCH) {
         let unions: Vec<CellUnion> = leaves
             .par_iter()

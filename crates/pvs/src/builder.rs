@@ -10,8 +10,9 @@ use crate::error::PvsError;
 use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section, Written};
 use crate::portals::Portals;
+use crate::scene_parts::SceneParts;
 use crate::tree::{CellTree, Node};
-use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, Pvs, SET_ASIDE, parse, runs};
+use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, parse, runs};
 
 /// The parts of a result that are known before the first cell.
 #[derive(Clone, Debug)]
@@ -174,24 +175,28 @@ impl Builder {
         Ok(())
     }
 
-    /// Takes the items, the region and the portals of a result of the same scene. Call this function before
-    /// the first cell.
+    /// Sets the items, the region and the portals to those parts of a result of the same scene
+    /// ([`crate::Pvs::scene_parts`]). Call this function before the first cell.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] if the result has other triangles or objects, or if a cell was already pushed.
-    pub fn copy_scene_parts(&mut self, from: &Pvs) -> Result<(), PvsError> {
-        if self.header.triangles != from.triangle_count() || self.header.objects != from.objects() {
-            return Err(Section::Items.malformed("the results have other triangles or objects"));
+    /// [`PvsError::Malformed`] if the result has another number of triangles or objects, or if a cell was
+    /// already pushed.
+    pub fn set_scene_parts(&mut self, parts: SceneParts) -> Result<(), PvsError> {
+        let own = (self.header.triangles, self.header.objects.len());
+        if own != (parts.triangles, parts.objects) {
+            return Err(
+                Section::Items.malformed("the results have other numbers of triangles or objects")
+            );
         }
         if !self.flags.is_empty() {
             return Err(
                 Section::Items.malformed("a cell was pushed before the items; set the items first")
             );
         }
-        self.items = from.part(Section::Items).to_vec();
-        self.item_count = from.item_count();
-        self.region = from.part(Section::Region).to_vec();
-        self.portals = from.part(Section::Portals).to_vec();
+        self.items = parts.items;
+        self.item_count = parts.item_count;
+        self.region = parts.region;
+        self.portals = parts.portals;
         Ok(())
     }
 

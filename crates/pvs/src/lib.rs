@@ -82,6 +82,7 @@ mod parse;
 pub mod portals;
 pub mod reader;
 pub mod runs;
+pub mod scene_parts;
 pub mod tree;
 
 pub use builder::{Builder, Cell, Header, Stats};
@@ -95,6 +96,7 @@ pub use looker::{LookError, Looker, View, ViewError};
 pub use pairs::{CellPairs, MOST_PAIR_CELLS, Relation};
 pub use portals::{Portal, Portals};
 pub use reader::{MAPPED_FROM, NodeBytes, Pvs};
+pub use scene_parts::SceneParts;
 pub use tree::{CellTree, MAX_DEPTH, Node};
 
 /// The flag (bit 0) of a cell whose tile was set aside after failures or has no output. The cell's set was

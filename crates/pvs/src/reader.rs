@@ -17,6 +17,7 @@ use crate::items::ItemTable;
 use crate::layout::{LEAST_SECTIONS, Layout, Section, Written, header, u32_at, u64_at};
 use crate::parse::{check_offsets, read_objects, read_sources, read_tree};
 use crate::portals::Portals;
+use crate::scene_parts::SceneParts;
 use crate::tree::CellTree;
 use crate::{CellPairs, Column, Contribution, Granularity, NOT_REACHED, Object, SET_ASIDE};
 use crate::{columns, contributions};
@@ -209,8 +210,20 @@ impl Pvs {
         self.bytes.get()
     }
 
-    pub(crate) fn part(&self, section: Section) -> &[u8] {
+    fn part(&self, section: Section) -> &[u8] {
         &self.bytes.get()[self.layout.range(section)]
+    }
+
+    /// Returns the items, the region and the portals, for another result of the same scene.
+    pub fn scene_parts(&self) -> SceneParts {
+        SceneParts {
+            triangles: self.triangle_count(),
+            objects: self.objects.len(),
+            items: self.part(Section::Items).to_vec(),
+            item_count: self.item_count(),
+            region: self.part(Section::Region).to_vec(),
+            portals: self.part(Section::Portals).to_vec(),
+        }
     }
 
     /// Returns the bytes of a file with some sections of this file. These are the sections that every file

@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union, 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Client", "Pvs", "assemble", "bake", "measure", "plan", "tile", "verify"]
+__all__ = ["Client", "Pvs", "assemble", "bake", "cells", "measure", "plan", "tile", "unite", "verify"]
 
 _CellOrPoint = Union[int, Sequence[float]]
 _Path = Union[str, "PathLike[str]"]
