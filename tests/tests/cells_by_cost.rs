@@ -172,6 +172,36 @@ fn one_worker_farm_and_tiles_give_same_bytes() {
     );
 }
 
+/// Uses triangles that no set contains, and a single cell with done and open tiles.
+#[test]
+fn partial_result_has_undecided_cells() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(ROOMS);
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(
+        "rooms.glb --cell-budget 1 --fine 6x2x4 --backend cpu --block-cells 1 --target-error 0.00002 \
+         --occluder-only wall*",
+    );
+    let worker = coordinator.worker();
+    coordinator.until(job, "a tile", |job| job["tiles_done"].as_u64() > Some(2));
+    coordinator.ok(&format!("pause {job}"));
+    worker.kill();
+    coordinator.ok(&format!("fetch {job} --partial -o some.pvs"));
+    let pvs = Pvs::open(sandbox.path("some.pvs")).unwrap();
+    let aside = (0..pvs.cells()).filter(|cell| pvs.is_set_aside(*cell).unwrap());
+    let cells: Vec<u32> = aside.collect();
+    assert!(!cells.is_empty(), "the job was over before the pause");
+    for cell in cells {
+        let [visible, undecided] = [pvs.visible_count(cell), pvs.undecided_count(cell)];
+        let shown = visible.unwrap();
+        assert!(0 < shown && shown < pvs.triangle_count());
+        assert_eq!(shown, undecided.unwrap());
+    }
+    coordinator.ok(&format!("resume {job}"));
+    let _worker = coordinator.worker();
+    coordinator.finish(job);
+}
+
 #[test]
 fn weights_of_viewpoints_choose_cells() {
     let sandbox = Sandbox::new();
@@ -253,6 +283,10 @@ fn bad_combinations_have_errors() {
         (
             "--from fine.pvs --cell-budget 4 --seed 3",
             "--seed and --from",
+        ),
+        (
+            "--from fine.pvs --cell-budget 4 --workers 2",
+            "--workers and --from",
         ),
     ] {
         let run = sandbox.run(&format!("bake rooms.glb -o out.pvs {options}"));

@@ -17,7 +17,7 @@ use crate::terminal::progress::Terminal;
 /// Unites the sets of the result `args.from`.
 pub fn run(args: &BakeArgs, from: &std::path::Path, json: bool) -> Result<(), Error> {
     let start = Instant::now();
-    refuse_unused(&args.job)?;
+    refuse_unused(args)?;
     let Some(choice) = args.job.by_cost.choice()? else {
         return Err(Error::usage("--from needs --cell-budget or --byte-budget").about("from"));
     };
@@ -49,7 +49,8 @@ pub fn run(args: &BakeArgs, from: &std::path::Path, json: bool) -> Result<(), Er
 }
 
 /// Rejects options that have no use without sampling.
-fn refuse_unused(options: &JobOptions) -> Result<(), Error> {
+fn refuse_unused(args: &BakeArgs) -> Result<(), Error> {
+    let options = &args.job;
     let mut rest = options.clone();
     rest.by_cost = CellBudgetOptions {
         fine: options.by_cost.fine,
@@ -58,13 +59,19 @@ fn refuse_unused(options: &JobOptions) -> Result<(), Error> {
     rest.viewpoints.viewpoints = None;
     let fields = |options: &JobOptions| serde_json::to_value(options).map_err(Error::internal);
     let (rest, usual) = (fields(&rest)?, fields(&JobOptions::default())?);
-    let names: Vec<String> = rest
+    let mut names: Vec<String> = rest
         .as_object()
         .into_iter()
         .flatten()
         .filter(|(name, value): &(&String, &Value)| usual[name.as_str()] != **value)
         .map(|(name, _)| format!("--{}", name.replace('_', "-")))
         .collect();
+    let others = [
+        ("--workers", args.workers.is_some()),
+        ("--data-dir", args.data_dir.is_some()),
+    ];
+    let given = others.iter().filter(|(_, is_given)| *is_given);
+    names.extend(given.map(|(name, _)| (*name).to_owned()));
     match names.is_empty() {
         true => Ok(()),
         false => Err(Error::usage(format!(

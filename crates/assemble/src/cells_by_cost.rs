@@ -3,7 +3,6 @@
 //! The result of the fine grid is complete before the choice, so the choice works in the same way for every
 //! method, and for a result that an earlier bake wrote.
 
-use std::collections::BTreeSet;
 use std::io::Write;
 
 use rayon::prelude::*;
@@ -12,11 +11,11 @@ use sightline_model::statistics::VIEWPOINT_WEIGHT;
 use sightline_model::{CellBudget, CellsByCost, NamedValue as _};
 use sightline_pvs::{
     Builder, Cell, CellPairs, CellTree, Column, Header, NOT_REACHED, Node, Pvs, PvsError, Relation,
-    SET_ASIDE,
+    SET_ASIDE, runs,
 };
 use sightline_viewcells::cheapest::{FineBox, FineNode};
 
-use crate::fine_sets::{FineSets, FineSetsError, leaves};
+use crate::fine_sets::{FineSets, FineSetsError, leaves, set_bits};
 
 /// The number of cells whose sets are in memory at once.
 const BATCH: usize = 256;
@@ -126,19 +125,23 @@ impl CellUnion {
 }
 
 /// Returns the union of the sets of a box. An item is undecided if no fine cell saw it. If a cell of the box
-/// was set aside, the box is set aside.
+/// was set aside, the box is set aside, and all items of its set are undecided.
 fn union(fine: &Pvs, sets: &FineSets, of_cells: FineBox) -> Result<CellUnion, PvsError> {
-    let (mut visible, mut seen) = (BTreeSet::new(), BTreeSet::new());
+    let words = (fine.item_count() as usize).div_ceil(64);
+    let [mut visible, mut seen] = [(); 2].map(|()| vec![0u64; words]);
+    let [mut own, mut own_open] = [(); 2].map(|()| vec![0u64; words]);
     let (mut flags, mut items, mut open) = (NOT_REACHED, Vec::new(), Vec::new());
     for cell in sets.reached_cells(of_cells) {
         fine.visible_items(cell, &mut items)?;
         fine.undecided_items(cell, &mut open)?;
-        visible.extend(&items);
-        seen.extend(
-            items
-                .iter()
-                .filter(|item| open.binary_search(item).is_err()),
-        );
+        own.fill(0);
+        set_bits(&mut own, &items);
+        own_open.fill(0);
+        set_bits(&mut own_open, &open);
+        for (at, word) in own.iter().enumerate() {
+            visible[at] |= word;
+            seen[at] |= word & !own_open[at];
+        }
         if flags == NOT_REACHED {
             flags = 0;
         }
@@ -146,11 +149,24 @@ fn union(fine: &Pvs, sets: &FineSets, of_cells: FineBox) -> Result<CellUnion, Pv
             flags = SET_ASIDE;
         }
     }
+    if flags == SET_ASIDE {
+        seen.fill(0);
+    }
+    let unseen: Vec<u64> = visible.iter().zip(&seen).map(|(v, s)| v & !s).collect();
     Ok(CellUnion {
-        undecided: visible.difference(&seen).copied().collect(),
-        visible: visible.into_iter().collect(),
+        visible: ids(&visible),
+        undecided: ids(&unseen),
         flags,
     })
+}
+
+/// Returns the items of a row of bits, ascending.
+fn ids(bits: &[u64]) -> Vec<u32> {
+    let bounds = runs::from_bits(bits);
+    bounds
+        .chunks_exact(2)
+        .flat_map(|run| run[0]..run[1])
+        .collect()
 }
 
 /// Returns the columns of the boxes: the sums or the maxima over their cells, without bounds, which hold only
@@ -178,7 +194,7 @@ fn columns(fine: &Pvs, sets: &FineSets, leaves: &[FineBox]) -> Result<Vec<Column
     }
     joined.push(Column {
         name: VIEWPOINT_WEIGHT.to_owned(),
-        values: leaves.iter().map(|leaf| sets.union(*leaf).weight).collect(),
+        values: leaves.iter().map(|leaf| sets.weight(*leaf)).collect(),
     });
     Ok(joined)
 }

@@ -218,6 +218,13 @@ impl FineSets {
         self.places(of_cells).map(|place| self.numbers[place])
     }
 
+    /// Returns the weight of a box of cells.
+    pub fn weight(&self, of_cells: FineBox) -> u64 {
+        self.places(of_cells)
+            .filter_map(|place| self.weights[place])
+            .sum()
+    }
+
     /// Returns the cells of the grid as boxes.
     pub fn cells(&self) -> Vec<FineBox> {
         let mut cells = Vec::new();
@@ -495,7 +502,8 @@ fn add(all: &mut [u64], more: &[u64]) {
         .for_each(|(all, more)| *all |= more);
 }
 
-fn set_bits(row: &mut [u64], ids: &[u32]) {
+/// Sets the bits of the items `ids` in a row.
+pub fn set_bits(row: &mut [u64], ids: &[u32]) {
     for id in ids {
         row[(id / 64) as usize] |= 1 << (id % 64);
     }

@@ -63,7 +63,8 @@ impl JobSpec {
             ));
         }
         if let (Some(_), Division::Grid(sides)) = (task.cells_by_cost(), task.division())
-            && u64::from(scene.triangles.div_ceil(64)) * 8 * count(*sides) > MOST_FINE_BYTES
+            // A row of bits for the cost and a row for the coded set.
+            && 2 * u64::from(scene.triangles.div_ceil(64)) * 8 * count(*sides) > MOST_FINE_BYTES
         {
             return Err(SpecError::new(
                 "fine",
