@@ -1,5 +1,4 @@
-//! The parts of a result that depend only on its scene and its viewpoints, as coded sections, for another result
-//! of the same scene.
+//! The parts of a result that depend only on its scene and its viewpoints, as coded sections.
 
 /// The items, the region and the portals of a result.
 #[derive(Clone, Debug)]
